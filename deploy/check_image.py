@@ -37,7 +37,7 @@ _LIBRARIES = {
 _MAYBE = {"edge": ["embreex.rtcore", "pye57", "xatlas"], "gateway": []}  # no wheel for ARM
 _TRACES = ["opentelemetry.sdk.trace.export", "opentelemetry.exporter.otlp.proto.http.trace_exporter"]
 _READY = {
-    "edge": [sys.executable, "-m", "services.edge.worker.health"],
+    "edge": [sys.executable, "-m", "capture2vr.edge.worker.health"],
     "gateway": [
         sys.executable,
         "-c",
@@ -64,7 +64,7 @@ def main(service: str) -> None:
 
 def _open_bucket() -> None:
     """Make an S3 client, which loads the description of S3. Nothing is asked for."""
-    from services.storage.s3 import S3Store
+    from capture2vr.storage.s3 import S3Store
 
     S3Store(bucket="check", access_key="check", secret_key="check", endpoint="http://127.0.0.1:9")  # noqa: S106 - nobody is asked
 

@@ -14,7 +14,7 @@ RUN if [ -n "$TORCH_INDEX" ]; then \
       { echo "PyTorch cannot be had from TORCH_INDEX=$TORCH_INDEX: name a mirror of it (docker compose: TORCH_CPU_INDEX), or" \
              "leave it empty for pip's own index, whose PyTorch brings 2.3 GB of CUDA" >&2; exit 1; }; \
     fi
-COPY services ./services
+COPY services ./capture2vr
 # Further extras, with a comma between them: --build-arg EXTRAS=ray for EDGE_ENGINE=ray://head:10001.
 ARG EXTRAS=
 RUN /venv/bin/pip install --no-cache-dir -c constraints.txt \
@@ -23,20 +23,20 @@ RUN /venv/bin/pip install --no-cache-dir -c constraints.txt \
 WORKDIR /slim
 COPY deploy/slim.sh deploy/check_image.py ./
 # The pages are the gateway's alone.
-RUN sh slim.sh /venv && rm -r /venv/lib/python3*/site-packages/services/web && \
+RUN sh slim.sh /venv && rm -r /venv/lib/python3*/site-packages/capture2vr/web && \
     /venv/bin/python check_image.py edge
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home capture2vr
 COPY --from=build /venv /venv
 # The standard library comes without bytecode, and these files are read-only once the container runs.
-RUN /venv/bin/python -c "import services.edge.__main__, services.edge.worker.health, torch"
+RUN /venv/bin/python -c "import capture2vr.edge.__main__, capture2vr.edge.worker.health, torch"
 # Scratch is the only thing written, checkpoints included: mount a disk here that outlives the container.
 RUN mkdir -p /scratch && chown capture2vr /scratch
 ENV PATH=/venv/bin:$PATH PYTHONUNBUFFERED=1 EDGE_HOST=0.0.0.0 EDGE_PORT=50051 EDGE_SCRATCH=/scratch
 USER 10001
 EXPOSE 50051
 STOPSIGNAL SIGTERM
-HEALTHCHECK --interval=5s --timeout=10s --start-period=20s CMD ["python", "-m", "services.edge.worker.health"]
+HEALTHCHECK --interval=5s --timeout=10s --start-period=20s CMD ["python", "-m", "capture2vr.edge.worker.health"]
 ENTRYPOINT ["capture2vr"]
 CMD ["edge"]

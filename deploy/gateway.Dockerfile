@@ -4,20 +4,20 @@ FROM python:3.11-slim AS build
 RUN apt-get update && apt-get install -y --no-install-recommends binutils && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
-COPY services ./services
+COPY services ./capture2vr
 RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir -c constraints.txt '.[gateway,storage,postgres,traces]'
 # In a folder of its own: what is checked is what was installed, not the sources.
 WORKDIR /slim
 COPY deploy/slim.sh deploy/check_image.py ./
 # The weights for single photos are a worker's alone.
-RUN sh slim.sh /venv && rm -r /venv/lib/python3*/site-packages/services/edge/single_photo/weights && \
+RUN sh slim.sh /venv && rm -r /venv/lib/python3*/site-packages/capture2vr/edge/single_photo/weights && \
     /venv/bin/python check_image.py gateway
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home capture2vr
 COPY --from=build /venv /venv
 # The standard library comes without bytecode, and these files are read-only once the container runs.
-RUN /venv/bin/python -c "import services.gateway.__main__, services.storage.bucket, psycopg, urllib.request"
+RUN /venv/bin/python -c "import capture2vr.gateway.__main__, capture2vr.storage.bucket, psycopg, urllib.request"
 # The jobs' database and the staging of uploads: a volume; the rest runs read-only.
 RUN mkdir -p /data && chown capture2vr /data
 VOLUME /data

@@ -28,17 +28,16 @@ TOP_ROOMS = {
     },
     "gateway": {
         SHARED: ("errors", "database_faults"),
-        "app": ("__main__", "app", "middleware", "instance_lock"),
-        "database": ("database", "postgres_notify"),
+        "app": ("__main__", "app", "middleware"),
         "schemas": ("schemas", "settings", "metrics"),
-        "worker_client": ("worker_client", "worker_types"),
     },
     "storage": {
-        "store": ("store", "local", "memory", "s3", "bundle", "archives"),
+        "store": ("store", "local", "memory", "s3", "bundle"),
         "settings": ("settings", "bucket"),
     },
 }
 WHOLE = ("cli", "web")  # services that are one room
+BELOW_ALL = ("order", "process")  # every service may import them, and arrows to them say nothing
 LEFT_OUT = ("api", "presets")  # generated code; settings
 
 WAY = (
@@ -48,9 +47,11 @@ WAY = (
     ("gateway", "jobs", "The capture is on the store, the job a row with a lease."),
     ("gateway", "dispatch", "A free worker is found; the run is followed, and found again when lost."),
     ("edge", "worker", "The archive arrives over gRPC, waits for a slot and for memory."),
-    ("edge", "capture", "Its format is recognised and read: frames, photos or a cloud."),
-    ("edge", "photos", "Photos become cameras (structure from motion) and depth maps (plane sweep)."),
-    ("edge", "points", "Depth is fused; points are cleaned, and the thing is cut out."),
+    ("edge", "read_capture", "Its format is recognised and read: frames, photos or a cloud."),
+    ("edge", "cameras", "Photos get their cameras: structure from motion."),
+    ("edge", "photos", "Photos with cameras become depth maps: plane sweep."),
+    ("edge", "fusion", "Depth is fused to points that several views agree on."),
+    ("edge", "points", "Points are cleaned, and the thing is cut out."),
     ("edge", "field", "An unsigned distance field is fitted: local at once, then trained."),
     ("edge", "mesh", "The open surface is extracted, cleaned and simplified."),
     ("edge", "texture", "Levels of detail get textures from the photos."),
@@ -85,7 +86,7 @@ def rooms_and_arrows() -> Arrows:
 def room_of(parts: Iterable[str]) -> Room | None:
     """The room of a module, from its parts below services/; None for what is no room."""
     service, *rest = parts
-    if not rest or service == "web":
+    if not rest or service == "web" or service in BELOW_ALL:
         return None
     if service in WHOLE:
         return service, service
@@ -103,7 +104,7 @@ def _imports(path: Path) -> set[tuple[str, ...]]:
     """Modules below services/ that a file imports, as parts."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("services."):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("capture2vr."):
             base = node.module.split(".")[1:]
             for alias in node.names:
                 inner = ROOT.joinpath("services", *base, alias.name)
@@ -154,7 +155,7 @@ def floors(arrows: Arrows) -> dict[Room, int]:
 BOX_W, BOX_H, GAP_X, GAP_Y = 118, 34, 14, 40
 MARGIN, TITLE_H = 24, 34
 COLUMNS = ("web", "gateway", "edge", "storage")  # and the command line above them all
-WIRES = ((("web", "shared"), ("gateway", "routes"), "HTTP"), (("gateway", "worker_client"), ("edge", "worker"), "gRPC"))
+WIRES = ((("web", "shared"), ("gateway", "routes"), "HTTP"), (("gateway", "workers"), ("edge", "worker"), "gRPC"))
 STYLE = """
 text { font: 13px system-ui, sans-serif; fill: #1c2530 }
 .service { fill: #f4f6f8; stroke: #d5dbe2 }

@@ -23,7 +23,7 @@ NAMES = ("edge_pb2.py", "edge_pb2.pyi", "edge_pb2_grpc.py")
 TOOLS_VERSION = "1.85.1"
 """Version of grpcio-tools that made the checked-in code, as in pyproject.toml; another one writes other bytes."""
 
-IMPORTS = {"from capture2vr.edge.v1 import": "from services.edge.api import"}
+IMPORTS = {"from capture2vr.edge.v1 import": "from capture2vr.edge.api import"}
 
 
 class WrongToolsError(RuntimeError):

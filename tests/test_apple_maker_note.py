@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.apple_maker_note import acceleration_note, read_acceleration
+from capture2vr.order.apple_maker_note import acceleration_note, read_acceleration
 from tests.support.maker_notes import SECRET, apple_note
 
 G = st.floats(-1, 1)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from services.cli.main import app
+from capture2vr.cli.main import app
 
 ROOT = Path(__file__).parents[1]
 
@@ -25,10 +25,10 @@ def _loaded_after(statement: str) -> set[str]:
 @pytest.mark.parametrize(
     ("statement", "forbidden"),
     [
-        ("import services.gateway.app", {"torch", "numpy", "scipy", "trimesh"}),
-        ("import services.storage.local", {"torch", "numpy", "boto3", "grpc", "fastapi"}),
-        ("import services.cli.main", {"torch", "numpy", "grpc", "fastapi", "boto3"}),
-        ("import services.edge.pipeline", {"torch", "fastapi", "sqlalchemy"}),
+        ("import capture2vr.gateway.app", {"torch", "numpy", "scipy", "trimesh"}),
+        ("import capture2vr.storage.local", {"torch", "numpy", "boto3", "grpc", "fastapi"}),
+        ("import capture2vr.cli.main", {"torch", "numpy", "grpc", "fastapi", "boto3"}),
+        ("import capture2vr.edge.pipeline", {"torch", "fastapi", "sqlalchemy"}),
     ],
 )
 def test_importing_one_part_leaves_the_others_unloaded(statement: str, forbidden: set[str]) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.asset_names import (
+from capture2vr.order.asset_names import (
     DESCRIPTION_CHARS,
     LABEL_CHARS,
     MOST_LABELS,

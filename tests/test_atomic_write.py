@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from services.atomic_write import atomic_write
+from capture2vr.process.atomic_write import atomic_write
 from tests.support.patience import HANG_S
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from services.atomic_write import atomic_write
+from capture2vr.process.atomic_write import atomic_write
 with atomic_write(Path(sys.argv[1])) as part:
     part.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)

@@ -15,7 +15,7 @@ import httpx
 import pytest
 from PIL import Image
 
-from services.cli.up import run_stack
+from capture2vr.cli.up import run_stack
 from tests.edge.jobs.test_inspect_capture import obj_of_materials, ply_of_one_face
 from tests.support import captures, private_pictures
 from tests.support.patience import HANG_S

@@ -19,10 +19,10 @@ import httpx
 import numpy as np
 import pytest
 
-from services.cli import main as command_line
-from services.cli.up import run_stack
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.cli import main as command_line
+from capture2vr.cli.up import run_stack
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.support import captures
 from tests.support.bad_captures import BAD, EMOJI, HTML, zipped
 from tests.support.bundles import bundle
@@ -213,7 +213,7 @@ def test_names_that_terminals_and_zips_take_for_something_else(
 def test_as_a_process_of_its_own(name: str, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     source = BAD[name].make(tmp_path / "in")
-    command = [sys.executable, "-m", "services.cli", "run", str(source), "-o", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "capture2vr.cli", "run", str(source), "-o", str(tmp_path / "out")]
     result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert result.returncode == 2
     assert len([line for line in result.stderr.splitlines() if line.startswith("capture2vr: ")]) == 1

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from services.edge.errors import EdgeError
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area
-from services.edge.mesh.topology import component_count
-from services.edge.paper_field.network_config import Densify, NetworkConfig
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area
+from capture2vr.edge.mesh.topology import component_count
+from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
 from tests.bench import ablation, cell, datasets, methods, plots, report, tables, yardstick
 from tests.bench.__main__ import main as bench_main
 from tests.bench.datasets import LayoutError

@@ -13,14 +13,14 @@ import pytest
 import trimesh
 from PIL import Image
 
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
-from services.edge.export.ply import ply_bytes
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import Scene
-from services.storage.bundle import Bundle
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
+from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.rays import Scene
+from capture2vr.storage.bundle import Bundle
 from tests.bench import captures
 from tests.bench.borne_out import likeness_of_patches
 from tests.bench.photo_sets import (

@@ -14,9 +14,9 @@ import torch
 import trimesh
 from PIL import Image
 
-from services.edge.mesh.nouns import Mesh
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.networks import network_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.networks import network_of
 from tests.bench import __main__ as benches
 from tests.bench import frame_times, heat_maps, paper_delivery, paper_figures, peer_extraction, published
 from tests.bench.heat_maps import Column, View

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.edge.field import checkpoint
-from services.edge.mesh.sampling import area
-from services.edge.paper_field.network_config import Densify, NetworkConfig
+from capture2vr.edge.field import checkpoint
+from capture2vr.edge.mesh.sampling import area
+from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
 from tests.bench import paper_tables, published
 from tests.bench.published import Cell, cells, run_cell
 from tests.bench.records import Records, record_of

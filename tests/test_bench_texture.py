@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.export.ply import ply_bytes
-from services.edge.mesh.nouns import Mesh
-from services.edge.preset import Preset
-from services.edge.texture import texture_mesh
+from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.preset import Preset
+from capture2vr.edge.texture import texture_mesh
 from tests.bench import texture
 from tests.support import surfaces
 

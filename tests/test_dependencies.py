@@ -88,11 +88,11 @@ def _imports(file: Path) -> frozenset[str]:
 
 def _reached(service: str) -> set[Path]:
     """The files of a service, and those that they import from others."""
-    todo, reached = list((ROOT / "services" / service).rglob("*.py")), set[Path]()
+    todo, reached = list((ROOT / "capture2vr" / service).rglob("*.py")), set[Path]()
     while todo:
         file = todo.pop()
         reached.add(file)
-        ours = [ROOT / name.replace(".", "/") for name in _imports(file) if name.startswith("services.")]
+        ours = [ROOT / name.replace(".", "/") for name in _imports(file) if name.startswith("capture2vr.")]
         places = [place for path in ours for place in (path.with_suffix(".py"), path / "__init__.py")]
         todo += [place for place in places if place.is_file() and place not in reached]
     return reached
@@ -102,7 +102,7 @@ def _imported(files: Iterable[Path]) -> dict[str, set[str]]:
     """Module -> the distributions that may provide it, for all modules that are neither ours nor Python's."""
     providers = packages_distributions()
     modules = {name.partition(".")[0] for file in files for name in _imports(file)}
-    foreign = modules - {"services"} - sys.stdlib_module_names
+    foreign = modules - {"capture2vr"} - sys.stdlib_module_names
     # What is not installed, or is one compiled file, is listed nowhere: its distribution has the module's name.
     return {module: {normalised(name) for name in providers.get(module, [module])} for module in foreign}
 

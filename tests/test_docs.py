@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.cli.up import free_port
-from services.edge.export.ktx2 import VERSION as KTX2_VERSION
-from services.edge.preset import parse_preset
-from services.edge.worker.settings import EdgeSettings, server_security
-from services.gateway.settings import GatewaySettings
-from services.storage.settings import StorageSettings
+from capture2vr.cli.up import free_port
+from capture2vr.edge.export.ktx2 import VERSION as KTX2_VERSION
+from capture2vr.edge.preset import parse_preset
+from capture2vr.edge.worker.settings import EdgeSettings, server_security
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.settings import StorageSettings
 from tests.conftest import missing
 from tests.support.clouds import write_ply
 from tests.support.patience import HANG_S
@@ -107,7 +107,7 @@ def typed(command: Command, home: Path, *more: str) -> subprocess.CompletedProce
     """Run a capture2vr command as the page has it, `more` behind it."""
     arguments = [word.replace("~", str(home)) for word in command.words[1:]]
     return subprocess.run(
-        [sys.executable, "-m", "services.cli", *arguments, *more],
+        [sys.executable, "-m", "capture2vr.cli", *arguments, *more],
         cwd=home,
         env={**os.environ, "HOME": str(home), "PYTHONPATH": str(ROOT), **command.variables},
         capture_output=True,
@@ -149,7 +149,7 @@ def test_the_readmes_session_with_a_running_product(home: Path) -> None:
     shutil.copy(home / "keys" / "2026.pub", home / "key.pub")
     environment = {**os.environ, "HOME": str(home), "PYTHONPATH": str(ROOT)}
     environment["STORAGE_SIGNING_KEY"] = str(home / "keys" / "2026")
-    process = [sys.executable, "-m", "services.cli", *up.words[1:], "--port", str(port)]
+    process = [sys.executable, "-m", "capture2vr.cli", *up.words[1:], "--port", str(port)]
     with subprocess.Popen(process, cwd=home, env=environment, stderr=subprocess.PIPE, text=True) as product:
         assert product.stderr is not None
         try:

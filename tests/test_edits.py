@@ -9,8 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edits import MOST_BYTES, NO_EDITS, CropBox, CutPlane, Edits, InvalidEdits, MeasuredLength, json_schema
-from services.photo_lasso import MOST_CORNERS, MOST_LASSOS, PhotoLasso
+from capture2vr.order.edits import (
+    MOST_BYTES,
+    NO_EDITS,
+    CropBox,
+    CutPlane,
+    Edits,
+    InvalidEdits,
+    MeasuredLength,
+    json_schema,
+)
+from capture2vr.order.photo_lasso import MOST_CORNERS, MOST_LASSOS, PhotoLasso
 
 NUMBERS = st.floats(-1e6, 1e6)
 VECTORS = st.tuples(NUMBERS, NUMBERS, NUMBERS)

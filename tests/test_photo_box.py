@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.photo_box import WHOLE, InvalidBox, PhotoBox
+from capture2vr.order.photo_box import WHOLE, InvalidBox, PhotoBox
 
 places = st.floats(0, 1)
 

@@ -11,9 +11,9 @@ from typing import Any
 import httpx
 import pytest
 
-from services import traces
-from services.strict_settings import SettingsError
-from services.traces import capture_span, stage_spans, trace_id
+from capture2vr.process import traces
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.process.traces import capture_span, stage_spans, trace_id
 from tests.support.fresh_process import run_fresh
 from tests.support.gateway_process import running
 from tests.support.in_process_gateway import capture as script_capture
@@ -79,7 +79,7 @@ async def test_a_capture_has_one_trace_from_upload_to_publishing(
 def test_without_a_collector_nothing_is_imported_or_done(tmp_path: Path) -> None:
     said = run_fresh(
         "import sys\n"
-        "from services.traces import capture_span, stage_spans, start_tracing\n"
+        "from capture2vr.process.traces import capture_span, stage_spans, start_tracing\n"
         "start_tracing('x')\n"
         "with capture_span('run', 'cap_1', job='j'), stage_spans() as stages:\n"
         "    stages.enter('FITTING')\n"

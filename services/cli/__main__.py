@@ -1,5 +1,5 @@
-"""`python -m services.cli`: same as the command `capture2vr`."""
+"""`python -m capture2vr.cli`: same as the command `capture2vr`."""
 
-from services.cli.main import main
+from capture2vr.cli.main import main
 
 main()

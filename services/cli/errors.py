@@ -7,8 +7,6 @@ from typing import Any
 
 import httpx
 
-INVALID_KEY = "'{}' is not a valid asset key: use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
-
 
 class BadInput(Exception):  # noqa: N818 - it reads as what it is
     """An error that the user can fix. The command prints its one-line message and ends with exit code 2."""

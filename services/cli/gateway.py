@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli.options import Open
+from capture2vr.cli.options import Open
 
 app = typer.Typer(invoke_without_command=True)
 
@@ -21,7 +21,7 @@ _DATA = Path("capture2vr-data")
 def gateway(context: typer.Context, everybody: Open = False) -> None:
     """Run a gateway alone, configured by the environment variables GATEWAY_* and STORAGE_*."""
     if context.invoked_subcommand is None:
-        from services.gateway.__main__ import start
+        from capture2vr.gateway.__main__ import start
 
         raise typer.Exit(start(everybody=everybody))
 
@@ -29,7 +29,7 @@ def gateway(context: typer.Context, everybody: Open = False) -> None:
 @app.command()
 def check(data: Data = _DATA) -> None:
     """Check the jobs' database and its snapshots. Exit code 1 if the database is damaged."""
-    from services.cli.database_work import check_database
+    from capture2vr.cli.backups.database_work import check_database
 
     if not check_database(data):
         raise typer.Exit(1)
@@ -41,7 +41,7 @@ def restore(data: Data = _DATA) -> None:
 
     Stop the gateway first. The damaged file is kept.
     """
-    from services.cli.database_work import restore_database
+    from capture2vr.cli.backups.database_work import restore_database
 
     restore_database(data)
 
@@ -49,7 +49,7 @@ def restore(data: Data = _DATA) -> None:
 @app.command()
 def scrub(data: Data = _DATA) -> None:
     """Read every file of every asset on the store and check its hash. Exit code 1 if one is damaged."""
-    from services.cli.database_work import scrub_store
+    from capture2vr.cli.backups.database_work import scrub_store
 
     if not scrub_store(data):
         raise typer.Exit(1)

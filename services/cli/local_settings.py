@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from services.cli.errors import BadInput
-from services.gateway.settings import GatewaySettings
-from services.storage.settings import StorageSettings, open_store
-from services.storage.store import Store
+from capture2vr.cli.errors import BadInput
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.settings import StorageSettings, open_store
+from capture2vr.storage.store import Store
 
 _PLACES = ("GATEWAY_DATA_DIR", "GATEWAY_DATABASE_URL")
 _STORES = ("STORAGE_ROOT", "STORAGE_KIND")

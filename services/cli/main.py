@@ -9,14 +9,12 @@ from typing import Annotated, Literal
 
 import typer
 
-import services
-from services.cli.backup import app as backup
-from services.cli.catalogue import app as catalogue
-from services.cli.deploy import app as deploy
-from services.cli.errors import BadInput, printable
-from services.cli.gateway import app as gateway
-from services.cli.keys import app as keys
-from services.cli.options import (
+import capture2vr
+from capture2vr.cli.backups.backup import app as backup
+from capture2vr.cli.deployment.deploy import app as deploy
+from capture2vr.cli.errors import BadInput, printable
+from capture2vr.cli.gateway import app as gateway
+from capture2vr.cli.options import (
     DEFAULT_GATEWAY,
     Box,
     Collection,
@@ -28,10 +26,12 @@ from services.cli.options import (
     parse_box,
     read_edits,
 )
-from services.cli.shares import app as shares
-from services.download_formats import FORMATS
-from services.storage.catalogue.entry import DEFAULT_COLLECTION
-from services.strict_settings import SettingsError
+from capture2vr.cli.remote.catalogue import app as catalogue
+from capture2vr.cli.remote.keys import app as keys
+from capture2vr.cli.remote.shares import app as shares
+from capture2vr.order.download_formats import FORMATS
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
 
 app = typer.Typer(
     help="Turn phone captures (photos, video, scans) into 3D meshes for VR.",
@@ -116,10 +116,10 @@ def run(
 
     Exit code 1 if some of several captures could not be reconstructed.
     """
-    from services.cli.edge_settings import edge_settings, machine_room
-    from services.cli.run import RunOptions, run_capture
-    from services.cli.stop_signals import exit_on_signals
-    from services.edge.engine.address import engine_for_parts
+    from capture2vr.cli.local.edge_settings import edge_settings, machine_room
+    from capture2vr.cli.local.run import RunOptions, run_capture
+    from capture2vr.cli.stop_signals import exit_on_signals
+    from capture2vr.edge.engine.address import engine_for_parts
 
     exit_on_signals()
     recipe = read_edits(edits)
@@ -139,7 +139,7 @@ def run(
         engine = engine_for_parts(edge_settings().engine, machine_room())
         run_capture(captures[0], out, options, preset=preset, device=device, resolution=resolution, engine=engine)
         return
-    from services.cli.run_many import run_captures
+    from capture2vr.cli.local.run_many import run_captures
 
     if not run_captures(captures, out, options, preset=preset, device=device, resolution=resolution):
         raise typer.Exit(1)
@@ -148,7 +148,7 @@ def run(
 @app.command()
 def presets() -> None:
     """List the presets: whether each trains, and how much memory it takes at most."""
-    from services.cli.presets import list_presets
+    from capture2vr.cli.local.presets import list_presets
 
     list_presets()
 
@@ -165,7 +165,7 @@ def up(
     Only this machine reaches it, and everybody on it is let in until `capture2vr keys create` has created a key. With
     --host others reach it too, which needs a key, or --open.
     """
-    from services.cli.up import serve_together
+    from capture2vr.cli.up import serve_together
 
     raise typer.Exit(serve_together(host, port, data, everybody=everybody))
 
@@ -202,8 +202,8 @@ def push(
     ] = None,
 ) -> None:
     """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
-    from services.cli.push import continue_capture, push_capture
-    from services.cli.stop_signals import exit_on_signals
+    from capture2vr.cli.remote.push import continue_capture, push_capture
+    from capture2vr.cli.stop_signals import exit_on_signals
 
     exit_on_signals()
     rectangle = parse_box(box)
@@ -247,7 +247,7 @@ def pull(
     ] = "",
 ) -> None:
     """Download an asset from a gateway, checking the collection's signature and every hash. Files are cached."""
-    from services.cli.pull import pull_asset
+    from capture2vr.cli.remote.pull import pull_asset
 
     pull_asset(key, out, gateway, collection=collection, trusted=trusted or (), cache=cache, share=share)
 
@@ -268,7 +268,7 @@ def download(
     ] = "",
 ) -> None:
     """Download an asset from a gateway in the format of another program. It is made there if nobody asked before."""
-    from services.cli.download_format import download_format
+    from capture2vr.cli.remote.download_format import download_format
 
     download_format(key, format_name, out, gateway, version=version, share=share)
 
@@ -282,7 +282,7 @@ def convert(
     ] = None,
 ) -> None:
     """Convert results on this machine to the format of another program."""
-    from services.cli.convert import convert_folder
+    from capture2vr.cli.local.convert import convert_folder
 
     convert_folder(folder, format_name, out)
 
@@ -303,7 +303,7 @@ def ls(
     max_mb: Annotated[float | None, typer.Option(min=0, help="List only assets of so many megabytes or less.")] = None,
 ) -> None:
     """List the assets of a collection."""
-    from services.cli.assets import AssetSearch, list_assets
+    from capture2vr.cli.remote.assets import AssetSearch, list_assets
 
     wanted = AssetSearch(label, state, since, until, min_mb, max_mb)
     list_assets(gateway, collection=collection, wanted=wanted)
@@ -316,7 +316,7 @@ def rm(
     collection: Collection = "",
 ) -> None:
     """Remove (hide) an asset. Its files are kept: `restore` or a new version brings it back."""
-    from services.cli.assets import set_removed
+    from capture2vr.cli.remote.assets import set_removed
 
     set_removed(key, gateway, "remove", collection=collection)
 
@@ -328,7 +328,7 @@ def restore(
     collection: Collection = "",
 ) -> None:
     """Restore a removed asset as it was."""
-    from services.cli.assets import set_removed
+    from capture2vr.cli.remote.assets import set_removed
 
     set_removed(key, gateway, "restore", collection=collection)
 
@@ -343,7 +343,7 @@ def name(
     gateway: Gateway = DEFAULT_GATEWAY,
 ) -> None:
     """Change what people call an asset. What is not named stays; the tags that are named replace those it has."""
-    from services.cli.names import change_names
+    from capture2vr.cli.remote.names import change_names
 
     change_names(key, gateway, label=label, description=description, labels=[] if no_tags else tag)
 
@@ -362,7 +362,7 @@ def notes(
     gateway: Gateway = DEFAULT_GATEWAY,
 ) -> None:
     """List the notes that are pinned to an asset; pin one, or remove one."""
-    from services.cli.notes import change_notes
+    from capture2vr.cli.remote.notes import change_notes
 
     change_notes(key, gateway, add=add, at=at, remove=remove)
 
@@ -381,7 +381,7 @@ def visibility(
     gateway: Gateway = DEFAULT_GATEWAY,
 ) -> None:
     """Set who may read an asset or a collection. Files that others have downloaded stay with them."""
-    from services.cli.visibility import set_visibility
+    from capture2vr.cli.remote.visibility import set_visibility
 
     set_visibility(name, who, gateway, is_collection=collection)
 
@@ -393,7 +393,7 @@ def edge() -> None:
     With EDGE_CENTRAL=host:port it only makes the points; the worker at that address trains the field, and publishes to
     the same store.
     """
-    from services.edge.__main__ import start
+    from capture2vr.edge.__main__ import start
 
     raise typer.Exit(start())
 
@@ -408,7 +408,7 @@ def demo(
     ] = None,
 ) -> None:
     """Run the whole system once on this machine, without a network: simulated phone, gateway, worker, store, viewer."""
-    from services.cli.demo import run_demo
+    from capture2vr.cli.demonstration.demo import run_demo
 
     run_demo(capture, out, keep=sys.stdout.isatty() if keep is None else keep)
 
@@ -416,7 +416,7 @@ def demo(
 @app.command()
 def doctor(gateway: Gateway = DEFAULT_GATEWAY) -> None:
     """Check this machine: what is installed, what is missing, and what to do about it."""
-    from services.cli.doctor import examine
+    from capture2vr.cli.deployment.doctor import examine
 
     raise typer.Exit(examine(gateway))
 
@@ -424,7 +424,7 @@ def doctor(gateway: Gateway = DEFAULT_GATEWAY) -> None:
 @app.command()
 def version() -> None:
     """Print the version of capture2vr."""
-    typer.echo(services.__version__)
+    typer.echo(capture2vr.__version__)
 
 
 def main() -> None:

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from services.cli.errors import BadInput
-from services.edits import MOST_BYTES, NO_EDITS, Edits, InvalidEdits
-from services.photo_box import HOW, InvalidBox, PhotoBox
+from capture2vr.cli.errors import BadInput
+from capture2vr.order.edits import MOST_BYTES, NO_EDITS, Edits, InvalidEdits
+from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
 
 DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 

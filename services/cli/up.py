@@ -7,7 +7,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -16,10 +15,11 @@ from pathlib import Path
 
 import httpx
 
-from services.cli.errors import BadInput
-from services.cli.progress import console, warn
-from services.cli.stop_signals import exit_on_signals, stop_signals
-from services.strict_settings import LOOPBACK
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.progress import console, warn
+from capture2vr.cli.stop_signals import exit_on_signals, stop_signals
+from capture2vr.process.child_start import python_command, start_child
+from capture2vr.process.strict_settings import LOOPBACK
 
 DEFAULT_PORT = 8080
 _READY_S = 60.0  # timeout of the start; a cold start on a busy two-core machine takes 3 s
@@ -90,9 +90,9 @@ class Stack:
         for service in ("edge", "gateway"):
             if service not in self._children or self._children[service].poll() is not None:
                 with (self._logs / f"{service}.log").open("ab") as log:
-                    self._children[service] = subprocess.Popen(  # noqa: S603 - our own module
-                        [sys.executable, "-m", "services.cli.service_process", service, str(os.getpid())],
-                        env=self._environment,
+                    self._children[service] = start_child(
+                        python_command("-m", "capture2vr.cli.service_process", service, str(os.getpid())),
+                        environment=self._environment,
                         stdout=log,
                         stderr=log,
                         start_new_session=True,  # Ctrl-C reaches only this process, which stops the children in order
@@ -171,8 +171,8 @@ def _refuse_without_keys(host: str, port: int, data: Path, everybody: bool) -> N
     """Refuse what the gateway would refuse, before anything is started."""
     if host in LOOPBACK or everybody or os.environ.get("GATEWAY_OPEN"):
         return
-    from services.gateway.app import refuse_without_keys
-    from services.gateway.settings import GatewaySettings
+    from capture2vr.gateway.app import refuse_without_keys
+    from capture2vr.gateway.settings import GatewaySettings
 
     environment = _environment(host, port, data.resolve(), edge_port=0)
     os.environ["GATEWAY_DATA_DIR"] = environment["GATEWAY_DATA_DIR"]

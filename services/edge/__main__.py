@@ -1,26 +1,26 @@
-"""`python -m services.edge`: start one worker, configured by the environment variables EDGE_* and STORAGE_*."""
+"""`python -m capture2vr.edge`: start one worker, configured by the environment variables EDGE_* and STORAGE_*."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
 
-from services.edge.engine.address import engine_for_parts
-from services.edge.engine.nouns import Needs
-from services.edge.errors import EdgeError
-from services.edge.export.ktx2 import Ktx2Encoder
-from services.edge.field.device import find_device
-from services.edge.jobs.available_presets import known_presets
-from services.edge.jobs.central_client import Central
-from services.edge.jobs.reconstruct_job import Reconstructor
-from services.edge.worker.control_group import own_control_group
-from services.edge.worker.guard import is_container_start, run_guarded
-from services.edge.worker.memory_budget import MemoryBudget, machine_bytes, machine_cores
-from services.edge.worker.server import serve
-from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
-from services.logs import configure
-from services.storage.settings import StorageSettings, open_publish, open_store
-from services.strict_settings import SettingsError
+from capture2vr.edge.engine.address import engine_for_parts
+from capture2vr.edge.engine.nouns import Needs
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.export.ktx2 import Ktx2Encoder
+from capture2vr.edge.field.device import find_device
+from capture2vr.edge.jobs.available_presets import known_presets
+from capture2vr.edge.jobs.central_client import Central
+from capture2vr.edge.jobs.reconstruct_job import Reconstructor
+from capture2vr.edge.worker.control_group import own_control_group
+from capture2vr.edge.worker.guard import is_container_start, run_guarded
+from capture2vr.edge.worker.memory_budget import MemoryBudget, machine_bytes, machine_cores
+from capture2vr.edge.worker.server import serve
+from capture2vr.edge.worker.settings import EdgeSettings, central_credentials, server_security
+from capture2vr.process.logs import configure
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.storage.settings import StorageSettings, open_publish, open_store
 
 _VARIABLES = {"PRESET_INVALID": "EDGE_PRESETS", "KTX2_UNAVAILABLE": "EDGE_KTX2"}  # error code -> variable at fault
 

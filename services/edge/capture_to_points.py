@@ -11,36 +11,36 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from services.edge.arrays import Tick, no_tick, part_of, pick
-from services.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict
-from services.edge.errors import CaptureError
-from services.edge.odometry.posed_frames import with_poses
-from services.edge.photos.depth_maps import at_texture_resolution
-from services.edge.photos.to_depth import to_depth
-from services.edge.points.clean_cloud import MIN_POINTS, cloud_points
-from services.edge.points.coverage import unseen_sides
-from services.edge.points.denoise_stereo import smooth_stereo_points
-from services.edge.points.edit import cut_away, set_frame
-from services.edge.points.flatness import flatness_warning
-from services.edge.points.frame_faults import FrameFaults
-from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
-from services.edge.points.fuse_scene import fuse_scene
-from services.edge.points.isolate import isolate_object
-from services.edge.points.lasso import require_photos
-from services.edge.points.nouns import Cut, CutReport, Points, TextureView
-from services.edge.points.orbit import sees_a_scene
-from services.edge.points.outliers import inliers
-from services.edge.points.scale import scale_to_longest
-from services.edge.points.texture_views import (
+from capture2vr.edge.arrays import Tick, no_tick, part_of, pick
+from capture2vr.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.fusion.coverage import unseen_sides
+from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
+from capture2vr.edge.fusion.fuse_scene import fuse_scene
+from capture2vr.edge.fusion.orbit import sees_a_scene
+from capture2vr.edge.fusion.texture_views import (
     hold_out_frames,
     select_scene_views,
     select_texture_views,
     texture_view,
 )
-from services.edge.points.upright import find_up
-from services.edge.progress import Bar, Clock, Progress
-from services.edits import NO_EDITS, Edits
-from services.photo_box import PhotoBox
+from capture2vr.edge.odometry.posed_frames import with_poses
+from capture2vr.edge.photos.depth_maps import at_texture_resolution
+from capture2vr.edge.photos.to_depth import to_depth
+from capture2vr.edge.points.clean_cloud import MIN_POINTS, cloud_points
+from capture2vr.edge.points.denoise_stereo import smooth_stereo_points
+from capture2vr.edge.points.edit import cut_away, set_frame
+from capture2vr.edge.points.flatness import flatness_warning
+from capture2vr.edge.points.frame_faults import FrameFaults
+from capture2vr.edge.points.isolate import isolate_object
+from capture2vr.edge.points.lasso import require_photos
+from capture2vr.edge.points.nouns import Cut, CutReport, Points, TextureView
+from capture2vr.edge.points.outliers import inliers
+from capture2vr.edge.points.scale import scale_to_longest
+from capture2vr.edge.points.upright import find_up
+from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.order.edits import NO_EDITS, Edits
+from capture2vr.order.photo_box import PhotoBox
 
 # Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
 # RGB-D room, on two cores.
@@ -149,7 +149,7 @@ def _points(
     capture: Capture, cut: Cut, hold_out: int | None, box: PhotoBox | None, drawn: frozenset[str], bar: Bar
 ) -> Points:
     if capture.kind == "image":
-        from services.edge.single_photo.to_points import to_points as guess_points  # loads torch
+        from capture2vr.edge.single_photo.to_points import to_points as guess_points  # loads torch
 
         return guess_points(capture, box=box, tick=bar.tick("POINT_CLOUD"))
     return to_points(capture, cut=cut, hold_out=hold_out, drawn=drawn, tick=bar.tick("POINT_CLOUD"))

@@ -18,14 +18,14 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import DistanceFn, Floats, Ints
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.pieces import Piece
-from services.edge.mesh.sampling import area, sample
-from services.edge.mesh.spacing import point_spacing
-from services.edge.mesh.topology import component_count
-from services.edge.render.photo_comparison import PhotoFigures
+from capture2vr.edge.arrays import DistanceFn, Floats, Ints
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.pieces import Piece
+from capture2vr.edge.mesh.sampling import area, sample
+from capture2vr.edge.mesh.spacing import point_spacing
+from capture2vr.edge.mesh.topology import component_count
+from capture2vr.edge.render.photo_comparison import PhotoFigures
 
 HELD_OUT_SHARE = 0.02  # of the points
 HELD_OUT = (20, 2_000)  # least and most points: fewer say nothing, and 2,000 give their mean distance to within 2 %

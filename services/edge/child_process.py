@@ -14,8 +14,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from services.edge.arrays import Tick
-from services.parent_death import end_with_parent
+from capture2vr.edge.arrays import Tick
+from capture2vr.process.child_start import start_child
+from capture2vr.process.parent_death import end_with_parent
 
 _POLL_SECONDS = 0.1  # between two ticks: the longest time that a cancelled job still runs
 _LOG_LINES = 3  # the last lines of the program's output that are quoted in an error
@@ -53,7 +54,7 @@ def run_child(
     """
     with log.open("wb") as errors:
         output = subprocess.PIPE if tells_progress else errors
-        with subprocess.Popen(  # noqa: S603 - our own programs
+        with start_child(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, bufsize=0, start_new_session=True
         ) as child:
             try:

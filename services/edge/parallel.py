@@ -10,7 +10,7 @@ from functools import partial
 from threading import Lock
 from typing import TypeVar
 
-from services.edge.arrays import Tick, no_tick
+from capture2vr.edge.arrays import Tick, no_tick
 
 WORKERS = min(4, os.cpu_count() or 1)  # threads; more would slow a worker's other jobs and gain little: memory-bound
 

@@ -19,46 +19,46 @@ from typing import Any
 
 import numpy as np
 
-from services.asset_names import UNNAMED, AssetNames
-from services.edge.arrays import DistanceFn, Floats, part_of
-from services.edge.asset.assemble import assemble_bundle, colour_levels
-from services.edge.asset.manifest import AssetSubject, MeasuredSurface
-from services.edge.asset.photo_check import (
+from capture2vr.edge.arrays import DistanceFn, Floats, part_of
+from capture2vr.edge.asset.assemble import assemble_bundle, colour_levels
+from capture2vr.edge.asset.manifest import AssetSubject, MeasuredSurface
+from capture2vr.edge.asset.photo_check import (
     check_surface_with_photos,
     drop_false_pieces,
     fill_gaps_with_photos,
     trim_rims_with_photos,
 )
-from services.edge.asset.target import NO_TARGET, Target, require_encoder
-from services.edge.capture.nouns import Capture
-from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepare, preview_share
-from services.edge.certificate import Evidence, certify, compare, hold_out
-from services.edge.engine.nouns import OpenEngine
-from services.edge.errors import EdgeError
-from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.export.tileset import TILESET_FILE
-from services.edge.field.denoise import denoise
-from services.edge.field.folds import noise_of
-from services.edge.field.local import local_field
-from services.edge.mesh.clean import clean
-from services.edge.mesh.extract import extract
-from services.edge.mesh.extract_published import extract_published
-from services.edge.mesh.fill_gaps import Fill, FilledMesh
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.spacing import auto_resolution
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.points.downsample import downsample_points
-from services.edge.points.nouns import Cut, Points
-from services.edge.points.unit import unit_frame
-from services.edge.preset import AUTOMATIC, Extraction, Preset, load_preset
-from services.edge.preset_choice import choose, traits_of
-from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
-from services.edge.tiles.folder import tiles_folder
-from services.edge.tiles.scene import TILE_STARTS, TiledScene, reconstruct_tiles
-from services.edge.training import FieldTraining, train
-from services.edits import NO_EDITS, Edits
-from services.photo_box import PhotoBox
-from services.storage.bundle import Bundle, FilesOnDisk
+from capture2vr.edge.asset.target import NO_TARGET, Target, require_encoder
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepare, preview_share
+from capture2vr.edge.certificate import Evidence, certify, compare, hold_out
+from capture2vr.edge.engine.nouns import OpenEngine
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.export.tileset import TILESET_FILE
+from capture2vr.edge.field.denoise import denoise
+from capture2vr.edge.field.folds import noise_of
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.extract_published import extract_published
+from capture2vr.edge.mesh.fill_gaps import Fill, FilledMesh
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.spacing import auto_resolution
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.points.downsample import downsample_points
+from capture2vr.edge.points.nouns import Cut, Points
+from capture2vr.edge.points.unit import unit_frame
+from capture2vr.edge.preset import AUTOMATIC, Extraction, Preset, load_preset
+from capture2vr.edge.preset_choice import choose, traits_of
+from capture2vr.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
+from capture2vr.edge.tiles.folder import tiles_folder
+from capture2vr.edge.tiles.scene import TILE_STARTS, TiledScene, reconstruct_tiles
+from capture2vr.edge.training import FieldTraining, train
+from capture2vr.order.asset_names import UNNAMED, AssetNames
+from capture2vr.order.edits import NO_EDITS, Edits
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.storage.bundle import Bundle, FilesOnDisk
 
 # Fraction of its pass at which each stage begins. In the preview's pass the local field is there at once; in the
 # refined one's the training takes most of the time.

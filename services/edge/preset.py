@@ -13,9 +13,9 @@ from importlib.resources.abc import Traversable
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from services.edge.errors import EdgeError
-from services.edge.field.config import AnchorConfig
-from services.edge.paper_field.network_config import UNUSED_KEYS, NetworkConfig
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.paper_field.network_config import UNUSED_KEYS, NetworkConfig
 
 AUTOMATIC = "auto"
 """Name of the automatic choice: the pipeline then chooses a preset from the points (`preset_choice.py`). An empty name
@@ -123,14 +123,14 @@ def memory_bytes(preset: Preset, points: int, device: str = "cpu") -> int:
         return _POINT_BYTES * min(points, preset.most_points) + _TILE_BYTES
     fit = 0
     if preset.fit is not None:
-        from services.edge.paper_field.memory_estimate import fit_memory_bytes
+        from capture2vr.edge.paper_field.memory_estimate import fit_memory_bytes
 
         fit = fit_memory_bytes(min(points, preset.most_points), preset.fit, device)
     return mesh + max(fit, _SPLATS_BYTES if preset.splat_steps else 0)
 
 
 def _folder() -> Traversable:
-    return resources.files("services.edge") / "presets"
+    return resources.files("capture2vr.edge") / "presets"
 
 
 def _names(folder: Traversable) -> list[str]:

@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.field.noise import SCALES, noise_level
-from services.edge.mesh.spacing import point_spacing
-from services.edge.points.nouns import Points
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.field.noise import SCALES, noise_level
+from capture2vr.edge.mesh.spacing import point_spacing
+from capture2vr.edge.points.nouns import Points
 
 PresetName = Literal["draft", "standard", "fine", "scene", "scene-tiles"]
 

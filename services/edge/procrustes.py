@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
 
 
 def procrustes(points: Floats, partners: Floats, *, scale: bool) -> Floats | None:

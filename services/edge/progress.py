@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from services.edge.arrays import Tick
+from capture2vr.edge.arrays import Tick
 
 
 @dataclass(frozen=True, slots=True)

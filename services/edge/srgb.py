@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
+from capture2vr.edge.arrays import Bytes, Floats
 
 _CODES = np.arange(256) / 255.0
 _LINEAR: Floats = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4).astype(np.float32)

@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import EdgeError
-from services.edge.field.config import AnchorConfig
-from services.edge.field.noise import Noise
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.progress import Bar, Clock, Progress
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.field.noise import Noise
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.progress import Bar, Clock, Progress
 
 if TYPE_CHECKING:
-    from services.edge.field.step import Step
+    from capture2vr.edge.field.step import Step
 
 _ETA_FROM = 20  # steps before a remaining time is shown: the first ones warm the caches
 _RATE_OF = 50  # latest yields that the rate is measured over: a second or two of steps
@@ -96,7 +96,7 @@ def train(training: FieldTraining, clock: Clock, bar: Bar) -> Generator[Progress
 
 def _steps(training: FieldTraining, bar: Bar, warnings: tuple[str, ...]) -> Generator[Progress, None, TrainedField]:
     # Imported here: a worker that makes previews only must not load torch.
-    from services.edge.field.anchors import AnchorField
+    from capture2vr.edge.field.anchors import AnchorField
 
     yield bar.begin("FITTING", f"training on {training.device}")
     steps = _fit(training)
@@ -113,8 +113,8 @@ def _steps(training: FieldTraining, bar: Bar, warnings: tuple[str, ...]) -> Gene
 
 def _fit(training: FieldTraining) -> Generator[Step, None, None]:
     """Start the fit for the config's model: anchors or a network."""
-    from services.edge.field.anchor_fit import fit_anchors
-    from services.edge.paper_field.network_fit import fit_network
+    from capture2vr.edge.field.anchor_fit import fit_anchors
+    from capture2vr.edge.paper_field.network_fit import fit_network
 
     if isinstance(training.config, AnchorConfig):
         return fit_anchors(

@@ -1,13 +1,13 @@
-"""`python -m services.gateway`: run one gateway, configured by the environment variables GATEWAY_* and STORAGE_*."""
+"""`python -m capture2vr.gateway`: run one gateway, configured by the environment variables GATEWAY_* and STORAGE_*."""
 
 from __future__ import annotations
 
 import sys
 
-from services.gateway.app import serve
-from services.gateway.settings import GatewaySettings
-from services.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys, open_store
-from services.strict_settings import SettingsError
+from capture2vr.gateway.app import serve
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys, open_store
 
 
 def start(*, everybody: bool = False) -> int:

@@ -21,38 +21,40 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.middleware.cors import CORSMiddleware
 from starlette.middleware.gzip import GZipMiddleware
 
-import services
-from services.gateway import errors
-from services.gateway.access.authentication import Authentication
-from services.gateway.access.caller import Scope
-from services.gateway.access.guesses import Guesses
-from services.gateway.access.limits import Limits
-from services.gateway.access.readers import ReadersCache
-from services.gateway.access.shares import ShareStore
-from services.gateway.access.sharing import Sharing
-from services.gateway.access.store import AccessStore
-from services.gateway.access.usage import Usage
-from services.gateway.connections import ConnectionLimits, LimitedProtocol
-from services.gateway.database import open_engine
-from services.gateway.dispatch.dispatcher import Dispatcher
-from services.gateway.dispatch.downloads import Downloads
-from services.gateway.dispatch.run_supervisor import Dependencies
-from services.gateway.instance_lock import FolderInUse, Instance, lock_instance, lock_replica
-from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.other_gateways import OtherGateways
-from services.gateway.jobs.state_machine import Retry
-from services.gateway.jobs.store import JobStore
-from services.gateway.metrics import Metrics
-from services.gateway.middleware import RequestMiddleware
-from services.gateway.pictures.picture_processes import PictureProcesses
-from services.gateway.records.audit_log import AuditLog, AuditStore
-from services.gateway.records.deletions import DeletionStore
-from services.gateway.records.tenant_data import TenantData
-from services.gateway.resumable import protocol
-from services.gateway.resumable.expiry import Expiry
-from services.gateway.resumable.store import UploadStore
-from services.gateway.resumable.uploads import ResumableUploads
-from services.gateway.routes import (
+import capture2vr
+from capture2vr.gateway import errors
+from capture2vr.gateway.access.authentication import Authentication
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.guesses import Guesses
+from capture2vr.gateway.access.limits import Limits
+from capture2vr.gateway.access.readers import ReadersCache
+from capture2vr.gateway.access.shares import ShareStore
+from capture2vr.gateway.access.sharing import Sharing
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.access.usage import Usage
+from capture2vr.gateway.backup.scrub import Scrub
+from capture2vr.gateway.backup.snapshots import Snapshots
+from capture2vr.gateway.connections import ConnectionLimits, LimitedProtocol
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.database.instance_lock import FolderInUse, Instance, lock_instance, lock_replica
+from capture2vr.gateway.dispatch.dispatcher import Dispatcher
+from capture2vr.gateway.dispatch.downloads import Downloads
+from capture2vr.gateway.dispatch.run_supervisor import Dependencies
+from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.other_gateways import OtherGateways
+from capture2vr.gateway.jobs.state_machine import Retry
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.metrics import Metrics
+from capture2vr.gateway.middleware import RequestMiddleware
+from capture2vr.gateway.pictures.picture_processes import PictureProcesses
+from capture2vr.gateway.records.audit_log import AuditLog, AuditStore
+from capture2vr.gateway.records.deletions import DeletionStore
+from capture2vr.gateway.records.tenant_data import TenantData
+from capture2vr.gateway.resumable import protocol
+from capture2vr.gateway.resumable.expiry import Expiry
+from capture2vr.gateway.resumable.store import UploadStore
+from capture2vr.gateway.resumable.uploads import ResumableUploads
+from capture2vr.gateway.routes import (
     access,
     assets,
     captures,
@@ -76,24 +78,22 @@ from services.gateway.routes import (
     visibility,
     webhooks,
 )
-from services.gateway.routes.access_rules import check_rules, describe_rules, needs
-from services.gateway.scenes.news import CHANNEL, SceneNews
-from services.gateway.scenes.reads import SceneReads
-from services.gateway.scrub import Scrub
-from services.gateway.settings import GatewaySettings, worker_credentials
-from services.gateway.snapshots import Snapshots
-from services.gateway.uploads.check_processes import CheckProcesses
-from services.gateway.webhooks.deliveries import Deliveries
-from services.gateway.webhooks.outbox import Outbox
-from services.gateway.webhooks.send import Sender
-from services.gateway.webhooks.store import WebhookStore
-from services.gateway.worker_client import WorkerPool
-from services.logs import configure
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.local import LocalStore
-from services.storage.store import Store
-from services.strict_settings import SettingsError
-from services.traces import start_tracing
+from capture2vr.gateway.routes.access_rules import check_rules, describe_rules, needs
+from capture2vr.gateway.scenes.news import CHANNEL, SceneNews
+from capture2vr.gateway.scenes.reads import SceneReads
+from capture2vr.gateway.settings import GatewaySettings, worker_credentials
+from capture2vr.gateway.uploads.check_processes import CheckProcesses
+from capture2vr.gateway.webhooks.deliveries import Deliveries
+from capture2vr.gateway.webhooks.outbox import Outbox
+from capture2vr.gateway.webhooks.send import Sender
+from capture2vr.gateway.webhooks.store import WebhookStore
+from capture2vr.gateway.workers.worker_client import WorkerPool
+from capture2vr.process.logs import configure
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.process.traces import start_tracing
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import Store
 
 # What pages of other origins may send and read, beside what uploads need.
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "If-Match", "Last-Event-ID")
@@ -122,7 +122,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """
     app = FastAPI(
         title="capture2vr",
-        version=services.__version__,
+        version=capture2vr.__version__,
         summary="Upload phone captures, reconstruct them as meshes, and download the assets for VR.",
         lifespan=_lifespan,
         docs_url=None,  # that page loads scripts from another host; the document itself is at /openapi.json

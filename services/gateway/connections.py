@@ -15,8 +15,8 @@ from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from services.gateway.errors import MEDIA_TYPE, RETRY_S, Problem
-from services.gateway.own_address import is_own
+from capture2vr.gateway.errors import MEDIA_TYPE, RETRY_S, Problem
+from capture2vr.gateway.own_address import is_own
 
 MAX_HEAD_BYTES = 64 << 10
 """Limit of a request's line and headers; browsers send 2 KB, with long cookies 8."""

@@ -17,8 +17,8 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as NoConnection
 from starlette.exceptions import HTTPException
 
-from services.edits import SEE, fault_sentence
-from services.gateway.database_faults import Fault, fault_of
+from capture2vr.gateway.database_faults import Fault, fault_of
+from capture2vr.order.edits import SEE, fault_sentence
 
 MEDIA_TYPE = "application/problem+json"
 

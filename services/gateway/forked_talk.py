@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from services.fork_client import Forked
+from capture2vr.process.fork_client import Forked
 
 
 async def talk(forked: Forked, order: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
-from services.gateway.jobs.job import Job, State
+from capture2vr.gateway.jobs.job import Job, State
 
 _REQUEST_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 120)
 _JOB_S = (1, 2, 5, 10, 20, 40, 60, 120, 300, 600, 1800, 3600, 21600)

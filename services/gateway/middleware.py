@@ -18,17 +18,17 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from services.gateway import browser_permissions
-from services.gateway.access.api_key import KEY_PATTERN, mask_keys
-from services.gateway.access.limits import Limits
-from services.gateway.access.sharing import mask_shares
-from services.gateway.connections import MAX_HEAD_BYTES, head_too_large
-from services.gateway.errors import Problem, internal_error
-from services.gateway.metrics import Metrics
-from services.gateway.records.audit_log import PASSING, AuditLog
-from services.gateway.same_site import SiteRules
-from services.gateway.settings import GatewaySettings
-from services.logs import request_id
+from capture2vr.gateway import browser_permissions
+from capture2vr.gateway.access.api_key import KEY_PATTERN, mask_keys
+from capture2vr.gateway.access.limits import Limits
+from capture2vr.gateway.access.sharing import mask_shares
+from capture2vr.gateway.connections import MAX_HEAD_BYTES, head_too_large
+from capture2vr.gateway.errors import Problem, internal_error
+from capture2vr.gateway.metrics import Metrics
+from capture2vr.gateway.records.audit_log import PASSING, AuditLog
+from capture2vr.gateway.same_site import SiteRules
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.process.logs import request_id
 
 _JSON_BYTES = 64 << 10  # limit of a body that is no upload: a job request has a few hundred bytes
 _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and headers of some thousand files
@@ -40,7 +40,7 @@ _STREAM = "text/event-stream"
 _HSTS = "max-age=31536000"  # browsers ask by HTTPS for a year; subdomains are not ours to decide over
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
-_log = logging.getLogger("services.gateway.requests")
+_log = logging.getLogger("capture2vr.gateway.requests")
 
 
 @dataclass(slots=True)

@@ -8,8 +8,8 @@ from typing import Annotated
 
 from fastapi import Query
 
-from services.gateway.errors import Problem
-from services.photo_box import HOW, InvalidBox, PhotoBox
+from capture2vr.gateway.errors import Problem
+from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
 
 BoxQuery = Annotated[
     str,

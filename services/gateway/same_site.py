@@ -16,8 +16,8 @@ from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 
-from services.gateway.errors import Problem
-from services.gateway.settings import GatewaySettings
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.settings import GatewaySettings
 
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _OWN_SITE = frozenset({"same-origin", "none"})  # "none": typed, or opened from a bookmark

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from services.asset_names import DESCRIPTION_CHARS, LABEL_CHARS, MOST_LABELS, check_description, check_labels
-from services.edits import NO_EDITS, CutName, Edits, FillName
-from services.gateway.jobs.job import Job, Order, State
-from services.gateway.worker_types import WorkerPreset
-from services.one_line import one_line
-from services.storage.tenant_store import TENANT_PATTERN
+from capture2vr.gateway.jobs.job import Job, Order, State
+from capture2vr.gateway.workers.worker_types import WorkerPreset
+from capture2vr.order.asset_names import DESCRIPTION_CHARS, LABEL_CHARS, MOST_LABELS, check_description, check_labels
+from capture2vr.order.edits import NO_EDITS, CutName, Edits, FillName
+from capture2vr.order.one_line import one_line
+from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
 _EXAMPLE_CAPTURE = "cap_7f3c9a1e5b2d4c68"

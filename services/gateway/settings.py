@@ -7,9 +7,9 @@ from pathlib import Path
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import SettingsConfigDict
 
-from services.gateway.worker_addresses import check_worker_address
-from services.grpc_security import ClientCredentials, read_client_credentials
-from services.strict_settings import LOOPBACK, CommaList, StrictSettings
+from capture2vr.gateway.workers.worker_addresses import check_worker_address
+from capture2vr.process.grpc_security import ClientCredentials, read_client_credentials
+from capture2vr.process.strict_settings import LOOPBACK, CommaList, StrictSettings
 
 
 class GatewaySettings(StrictSettings):

@@ -1,4 +1,4 @@
-"""`python -m services.storage.bucket`: create the S3 bucket; make `assets/` and `collections/` readable by everybody.
+"""`python -m capture2vr.storage.bucket`: create the S3 bucket; make `assets/` and `collections/` readable by everybody.
 
 Headsets read these two without credentials and check them by signature and hash. Captures, catalogue entries and
 aliases stay private. With STORAGE_PRESIGN_S everything stays private, and the gateway presigns what somebody may read.
@@ -12,9 +12,9 @@ import logging
 import sys
 import time
 
-from services.storage.s3 import S3Store
-from services.storage.settings import StorageSettings, open_store
-from services.strict_settings import SettingsError
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.storage.s3 import S3Store
+from capture2vr.storage.settings import StorageSettings, open_store
 
 _log = logging.getLogger(__name__)
 

@@ -21,9 +21,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from zlib import crc32
 
-from services.atomic_write import atomic_write, sync
-from services.storage.bundle import content_type as type_by_name
-from services.storage.store import IMMUTABLE, NO_CACHE, ConditionFailed, Head, check_name
+from capture2vr.process.atomic_write import atomic_write, sync
+from capture2vr.storage.bundle import content_type as type_by_name
+from capture2vr.storage.store import IMMUTABLE, NO_CACHE, ConditionFailed, Head, check_name
 
 _COPY_BYTES = 1 << 20  # per read while copying: fast enough for a disk, small for 32 uploads at once
 _LOCKS = 64  # lock files; two names with the same lock file wait a few ms for each other

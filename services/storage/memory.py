@@ -7,7 +7,7 @@ import threading
 from datetime import UTC, datetime
 from pathlib import Path
 
-from services.storage.store import IMMUTABLE, ConditionFailed, Head, check_name
+from capture2vr.storage.store import IMMUTABLE, ConditionFailed, Head, check_name
 
 
 class MemoryStore:

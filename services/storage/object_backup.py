@@ -16,10 +16,10 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from services.atomic_write import atomic_write
-from services.storage.bundle import hash_in_name, sha256_of
-from services.storage.store import Head, Store, check_name, list_all
-from services.storage.tenant_store import tenant_of
+from capture2vr.process.atomic_write import atomic_write
+from capture2vr.storage.bundle import hash_in_name, sha256_of
+from capture2vr.storage.store import Head, Store, check_name, list_all
+from capture2vr.storage.tenant_store import tenant_of
 
 _AT_ONCE = 8  # objects: a store far away answers each only after some time
 # What is rewritten in place refers to objects that were written before it. Read first, it refers to nothing that is

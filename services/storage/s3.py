@@ -17,8 +17,8 @@ from botocore.config import Config
 from botocore.exceptions import BotoCoreError, ClientError, HTTPClientError
 from botocore.exceptions import ConnectionError as BotoConnectionError
 
-from services.atomic_write import atomic_write
-from services.storage.store import IMMUTABLE, ConditionFailed, Head, check_name
+from capture2vr.process.atomic_write import atomic_write
+from capture2vr.storage.store import IMMUTABLE, ConditionFailed, Head, check_name
 
 _MULTIPART_BYTES = 16 << 20  # larger files go in parts; below, one request is faster. S3's smallest part is 5 MiB
 _TRANSFER = TransferConfig(
@@ -243,7 +243,7 @@ def _translate_errors(name: str) -> Iterator[None]:
 def _builtin_error(name: str, error: ClientError) -> Exception:
     status, code = _status(error), str(error.response.get("Error", {}).get("Code", ""))
     if code == "NoSuchBucket":
-        return OSError(f"the bucket of {name} does not exist; create it with python -m services.storage.bucket")
+        return OSError(f"the bucket of {name} does not exist; create it with python -m capture2vr.storage.bucket")
     if status == 404:
         # AWS answers a conditional put of a missing object with 404, others with 412.
         return ConditionFailed(f"{name} is gone") if error.operation_name == "PutObject" else FileNotFoundError(name)

@@ -10,12 +10,12 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, SecretStr
 from pydantic_settings import SettingsConfigDict
 
-from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
-from services.storage.catalogue.publish import Publish, publish
-from services.storage.catalogue.signing import KeyFileError, Keys, read_public_key, read_signer
-from services.storage.local import LocalStore
-from services.storage.store import Store
-from services.strict_settings import CommaList, SettingsError, StrictSettings
+from capture2vr.process.strict_settings import CommaList, SettingsError, StrictSettings
+from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
+from capture2vr.storage.catalogue.publish import Publish, publish
+from capture2vr.storage.catalogue.signing import KeyFileError, Keys, read_public_key, read_signer
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import Store
 
 _ENDPOINT = re.compile(r"https?://[^\s/?#]+(/[^\s?#]*)?")
 _BUCKET = re.compile(r"[A-Za-z0-9._-]{1,255}|arn:[^\s]+", re.ASCII)
@@ -104,7 +104,7 @@ def open_publish(settings: StorageSettings) -> Publish:
 
 
 def _open_s3(settings: StorageSettings, access: str, secret: str) -> Store:
-    from services.storage.s3 import S3Store  # here, because importing boto3 takes 0.2 s, which a local store saves
+    from capture2vr.storage.s3 import S3Store  # here, because importing boto3 takes 0.2 s, which a local store saves
 
     return S3Store(
         bucket=settings.bucket,

@@ -10,7 +10,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from services.storage.store import IMMUTABLE, Head, Store, check_name
+from capture2vr.storage.store import IMMUTABLE, Head, Store, check_name
 
 DEFAULT_TENANT = "default"
 FOLDER = "tenants/"

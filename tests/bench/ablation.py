@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from services.edge.field.config import AnchorConfig
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.preset import load_preset
+from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.preset import load_preset
 from tests.bench.cell import run_cell
 from tests.bench.methods import Settings
 from tests.bench.records import Record, Records, fingerprint, record_of

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import Scene
-from services.edge.render.sample_image import bilinear
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.sample_image import bilinear
 
 _SIDE = 7  # samples along a patch
 _STEP = 1.5  # photo's pixels from one to the next

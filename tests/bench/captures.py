@@ -24,26 +24,26 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from services.cli.demo_garment import garment_scene
-from services.cli.demo_phone import simulate_capture
-from services.edge.arrays import Bools, Floats
-from services.edge.asset.photo_check import posed_picture
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Frame
-from services.edge.mesh.align_to_reference import align_to_surface
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import sample
-from services.edge.photos.depth_maps import at_texture_resolution
-from services.edge.photos.to_depth import to_depth
-from services.edge.pipeline import reconstruct
-from services.edge.points.texture_views import hold_out_frames, texture_view
-from services.edge.preset import load_preset
-from services.edge.render.photo_comparison import LIKENESS_PX, check_surface, mean_figures, relative_sharpness
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import Scene, pinhole
-from services.edge.render.sample_image import bilinear, shrink_to
-from services.edge.render.silhouette import LONGEST_PX
-from services.storage.bundle import Bundle
+from capture2vr.cli.demonstration.demo_garment import garment_scene
+from capture2vr.cli.demonstration.demo_phone import simulate_capture
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.asset.photo_check import posed_picture
+from capture2vr.edge.capture.nouns import Capture, Frame
+from capture2vr.edge.fusion.texture_views import hold_out_frames, texture_view
+from capture2vr.edge.mesh.align_to_reference import align_to_surface
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.photos.depth_maps import at_texture_resolution
+from capture2vr.edge.photos.to_depth import to_depth
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import load_preset
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.render.photo_comparison import LIKENESS_PX, check_surface, mean_figures, relative_sharpness
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.rays import Scene, pinhole
+from capture2vr.edge.render.sample_image import bilinear, shrink_to
+from capture2vr.edge.render.silhouette import LONGEST_PX
+from capture2vr.storage.bundle import Bundle
 from tests.bench.borne_out import likeness_of_patches
 from tests.bench.cell import ROOT
 from tests.bench.data_files import data_file
@@ -65,7 +65,7 @@ _PHONE = {"noise": 4.0, "blur": 1.0, "jpeg": 85}
 """Of the rendered photos: a phone's indoors, twice as noisy as the other benches' and less sharp."""
 _GLOSS = 0.5  # where white is 1: glazed clay in the sun
 _SENSOR = scenes.Sensor(noise_m=0.004, jitter_m=0.003, jitter_deg=0.15, flying=0.5)
-"""Of a phone with LiDAR, as `services/cli/demo_phone.py` has it."""
+"""Of a phone with LiDAR, as `services/cli/demonstration/demo_phone.py` has it."""
 _SAMPLES = 1_000_000  # of the mesh: 0.15 % of the statue's size apart
 _WITHIN = (0.005, 0.01, 0.02)  # of the thing's size
 _REFERENCE = 200_000  # samples of the fruit's reference

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.errors import EdgeError
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import SurfaceSamples, sample
-from services.edge.mesh.topology import component_count
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import SurfaceSamples, sample
+from capture2vr.edge.mesh.topology import component_count
 from tests.bench.methods import Settings, Unavailable, make
 from tests.bench.records import code_version
 from tests.support.mesh_metrics import SAMPLES, Quality, compare, gaps_between, welded

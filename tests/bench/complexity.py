@@ -14,11 +14,11 @@ from dataclasses import replace
 from itertools import islice, product
 from typing import Any
 
-from services.edge.field.step import Step
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.network_fit import fit_network
-from services.edge.paper_field.networks import network_of
-from services.edge.preset import load_preset
+from capture2vr.edge.field.step import Step
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.network_fit import fit_network
+from capture2vr.edge.paper_field.networks import network_of
+from capture2vr.edge.preset import load_preset
 from tests.support import surfaces
 
 NETWORKS: dict[str, dict[str, Any]] = {

@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area, sample
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area, sample
 from tests.bench.data_files import DataMissing
 
 POINT_FILES = (".ply", ".xyz.npy", ".xyz", ".npy", ".npz")

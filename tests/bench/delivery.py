@@ -19,11 +19,11 @@ import cv2
 import numpy as np
 import trimesh
 
-from services.edge.export.glb import to_glb
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import sample
-from services.edge.mesh.simplify import lods
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.mesh.simplify import lods
 from tests.bench.shapes import load
 from tests.support.mesh_metrics import distances_to
 from tests.support.npm_packages import installed

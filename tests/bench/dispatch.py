@@ -27,16 +27,16 @@ import psutil
 import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
-from services.cli.up import free_port
-from services.gateway.access.store import AccessStore
-from services.gateway.database import open_engine
-from services.gateway.jobs.job import Order
-from services.gateway.jobs.row_mapping import event_values, job_values, lease_values
-from services.gateway.jobs.state_machine import create_job
-from services.gateway.jobs.store import new_job_id
-from services.gateway.jobs.tables import events, jobs, leases
-from services.storage.local import LocalStore
-from services.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
+from capture2vr.cli.up import free_port
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.jobs.job import Order
+from capture2vr.gateway.jobs.row_mapping import event_values, job_values, lease_values
+from capture2vr.gateway.jobs.state_machine import create_job
+from capture2vr.gateway.jobs.store import new_job_id
+from capture2vr.gateway.jobs.tables import events, jobs, leases
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
 from tests.bench.data_files import DataMissing
 from tests.bench.dispatch_workers import PRESET, SHORT
 from tests.referees.postgres import programs, running
@@ -195,7 +195,7 @@ def _site(folder: Path, url: str, options: argparse.Namespace) -> Iterator[Site]
         ports = [free_port() for _ in range(options.gateways)]
         gateways = [
             ServiceProcess(
-                "services.gateway",
+                "capture2vr.gateway",
                 folder / f"gateway{number}.log",
                 GATEWAY_PORT=port,
                 GATEWAY_DATA_DIR=folder / f"gateway{number}",

@@ -17,9 +17,9 @@ from typing import Any, TextIO
 
 import grpc
 
-import services
-from services.edge.api import edge_pb2 as pb
-from services.edge.api import edge_pb2_grpc
+import capture2vr
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.api import edge_pb2_grpc
 
 PRESET = "draft"
 SHORT = "single"  # keys of jobs whose runs take no time begin so
@@ -57,7 +57,7 @@ class PretendWorker(edge_pb2_grpc.EdgeReconstructionServicer):
         jobs = [self._job] if self._job else []
         presets = [pb.Preset(name=PRESET)]
         free = 0 if jobs else 1
-        return pb.Worker(version=services.__version__, presets=presets, slots=1, free_slots=free, jobs=jobs)
+        return pb.Worker(version=capture2vr.__version__, presets=presets, slots=1, free_slots=free, jobs=jobs)
 
     async def Reconstruct(  # noqa: N802
         self, chunks: AsyncIterator[pb.Chunk], context: Any

@@ -13,8 +13,8 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-from services.edge.engine.address import open_engine
-from services.edge.engine.nouns import Engine, Needs, wait_for_all
+from capture2vr.edge.engine.address import open_engine
+from capture2vr.edge.engine.nouns import Engine, Needs, wait_for_all
 from tests.bench.data_files import DataMissing
 from tests.support import engine_tasks, own_network
 from tests.support.ray_cluster import ADDRESS, RayCluster, running

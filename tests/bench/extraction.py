@@ -9,14 +9,14 @@ import argparse
 import time
 from pathlib import Path
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.field.local import local_field
-from services.edge.mesh.clean import clean
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.extract import extract
-from services.edge.mesh.topology import component_count
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.network_fit import fit_network
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.topology import component_count
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.network_fit import fit_network
 from tests.bench.methods import peak_mb
 from tests.support import surfaces
 

@@ -19,9 +19,9 @@ from typing import Any
 
 import httpx
 
-from services.cli.progress import StageBar
-from services.cli.push import follow, upload
-from services.cli.up import run_stack
+from capture2vr.cli.progress import StageBar
+from capture2vr.cli.remote.push import follow, upload
+from capture2vr.cli.up import run_stack
 from tests.bench.data_files import data_file
 from tests.bench.fleet_model import WAYS, Fleet, Outcome, Sample, Scaling, Way, simulate
 from tests.bench.photo_sets import shell

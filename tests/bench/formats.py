@@ -13,8 +13,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from services.download_formats import FORMATS
-from services.edge.convert.convert_bundle import BundleFolder, convert
+from capture2vr.edge.convert.convert_bundle import BundleFolder, convert
+from capture2vr.order.download_formats import FORMATS
 from tests.bench.data_files import data_file
 from tests.referees.formats import readers
 from tests.referees.formats.readers import Reader, Reading
@@ -59,7 +59,7 @@ def _asset(folder: Path, name: str) -> Path:
     """The results of a capture, which are made where they are not there."""
     out = folder / name.replace(" ", "-")
     if not (out / "report.json").is_file():
-        command = [sys.executable, "-m", "services.cli", "run", str(data_file(CAPTURES[name])), "-o", str(out)]
+        command = [sys.executable, "-m", "capture2vr.cli", "run", str(data_file(CAPTURES[name])), "-o", str(out)]
         subprocess.run([*command, "--preset", "draft"], check=True, stdout=subprocess.DEVNULL)
     return out
 

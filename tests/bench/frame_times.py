@@ -21,9 +21,9 @@ from typing import Any
 
 from playwright.sync_api import sync_playwright
 
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.simplify import lods
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.simplify import lods
 from tests.bench.delivery import LOADERS, MESHES, loaders
 from tests.bench.paper_figures import PICTURES, product_mesh
 from tests.bench.published import SCENE, add_state

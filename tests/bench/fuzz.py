@@ -24,7 +24,7 @@ from typing import Any
 import httpx
 import psutil
 
-from services.cli.up import run_stack
+from capture2vr.cli.up import run_stack
 from tests.bench.fuzz_files import Hostile, hostile
 
 _HANG_S = 300.0  # without an answer

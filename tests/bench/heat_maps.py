@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.renderer import RenderMesh, place_cameras, render_view
-from services.edge.srgb import to_srgb
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.renderer import RenderMesh, place_cameras, render_view
+from capture2vr.edge.srgb import to_srgb
 from tests.support.mesh_metrics import distances_to
 
 WORST = 0.01  # unit frame: what lies farther has the last colour

@@ -22,9 +22,9 @@ from typing import Any
 
 import httpx
 
-from services.cli.up import free_port
-from services.storage.local import LocalStore
-from services.storage.store import list_all
+from capture2vr.cli.up import free_port
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import list_all
 from tests.support.private_pictures import box, handler
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
 from tests.support.tus import PART, TUS, metadata
@@ -88,7 +88,7 @@ class _Gateways:
         self.kills = 0
         self._processes = [
             ServiceProcess(
-                "services.gateway",
+                "capture2vr.gateway",
                 folder / f"gateway{number}.log",
                 GATEWAY_PORT=port,
                 GATEWAY_DATA_DIR=folder / f"gateway{number}",

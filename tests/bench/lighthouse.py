@@ -20,12 +20,12 @@ from typing import Any
 
 from playwright.sync_api import sync_playwright
 
-from services.cli.up import run_stack
-from services.edge.mesh.simplify import lods
-from services.edge.render.thumbnail import thumbnail
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.cli.up import run_stack
+from capture2vr.edge.mesh.simplify import lods
+from capture2vr.edge.render.thumbnail import thumbnail
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.bench.delivery import scan
 from tests.bench.visit import SIDES, painted, sheet_bundle
 from tests.support.chromium import launch

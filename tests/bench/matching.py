@@ -17,12 +17,12 @@ from unittest.mock import patch
 
 import numpy as np
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Photo
-from services.edge.errors import CaptureError
-from services.edge.photos.learned_matches import is_installed
-from services.edge.photos.structure_from_motion import align
-from services.edge.procrustes import procrustes
+from capture2vr.edge.cameras.learned_matches import is_installed
+from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.capture.nouns import Photo
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.procrustes import procrustes
+from capture2vr.edge.read_capture import read_capture
 from tests.bench.case_table import print_cases
 from tests.bench.photo_sets import PhotoSet, fruit, shell
 from tests.bench.texture import cpu_seconds
@@ -51,7 +51,7 @@ def one(case: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         known = CASES[case](Path(folder))
         photos = read_capture(known.source).photos[:: 3 if "every third" in case else 1]
-        with patch("services.edge.photos.placement_attempts.is_installed", return_value=False):
+        with patch("capture2vr.edge.cameras.placement_attempts.is_installed", return_value=False):
             alone = _figures(photos, known)
         both = _figures(photos, known) if is_installed() and alone["placed"] < len(photos) else {}
     columns = {"photos": len(photos), **{f"SIFT: {name}": value for name, value in alone.items()}}

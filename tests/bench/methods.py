@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import EdgeError
-from services.edge.field.config import AnchorConfig
-from services.edge.mesh.nouns import Mesh
-from services.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.paper_field.network_config import NetworkConfig
 
 PRODUCT = {"draft": "local field", "standard": "standard", "fine": "fine"}
 LITERATURE = {"cap-udf": "CAP-UDF", "levelset-udf": "LevelSetUDF", "paper": "paper"}
@@ -82,10 +82,10 @@ def make(points: Floats, settings: Settings) -> Made:
 
 def product(points: Floats, settings: Settings) -> Made:
     """What a client gets for a bare cloud: the whole pipeline, with its own choice between preview and refined."""
-    from services.edge.capture.nouns import Capture, Cloud
-    from services.edge.pipeline import PreviewKept, reconstruct
-    from services.edge.preset import load_preset
-    from services.storage.bundle import Bundle
+    from capture2vr.edge.capture.nouns import Capture, Cloud
+    from capture2vr.edge.pipeline import PreviewKept, reconstruct
+    from capture2vr.edge.preset import load_preset
+    from capture2vr.storage.bundle import Bundle
 
     preset = replace(load_preset(settings.method), resolution=settings.resolution)
     remarks: tuple[str, ...] = ()
@@ -110,10 +110,10 @@ def trained(points: Floats, settings: Settings) -> Made:
 
     The extraction that CAP-UDF publishes takes 7 to 51 s and leaves unwelded soup; with ours only the fields differ.
     """
-    from services.edge.certificate import consistency
-    from services.edge.mesh.clean import clean
-    from services.edge.mesh.extract import extract
-    from services.edge.points.unit import unit_frame
+    from capture2vr.edge.certificate import consistency
+    from capture2vr.edge.mesh.clean import clean
+    from capture2vr.edge.mesh.extract import extract
+    from capture2vr.edge.points.unit import unit_frame
 
     began = time.perf_counter()
     frame = unit_frame(points)
@@ -129,12 +129,12 @@ def fitted(xyz_unit: Floats, settings: Settings) -> tuple[Floats, DistanceFn]:
 
     Raises EdgeError, and ValueError for a preset that trains nothing.
     """
-    from services.edge.field.denoise import denoise
-    from services.edge.field.folds import noise_of
-    from services.edge.field.local import local_field
-    from services.edge.paper_field.network_fit import fit_network
-    from services.edge.points.outliers import inliers
-    from services.edge.preset import load_preset
+    from capture2vr.edge.field.denoise import denoise
+    from capture2vr.edge.field.folds import noise_of
+    from capture2vr.edge.field.local import local_field
+    from capture2vr.edge.paper_field.network_fit import fit_network
+    from capture2vr.edge.points.outliers import inliers
+    from capture2vr.edge.preset import load_preset
 
     preset = load_preset(settings.method)
     if preset.fit is None:
@@ -152,9 +152,9 @@ def fitted(xyz_unit: Floats, settings: Settings) -> tuple[Floats, DistanceFn]:
 
 def anchored(xyz_unit: Floats, config: AnchorConfig, settings: Settings) -> tuple[Floats, DistanceFn]:
     """As `fitted`, with constants of the anchors' fit changed: each cell is a process of its own."""
-    from services.edge.field import anchor_fit
-    from services.edge.field.anchors import AnchorField
-    from services.edge.points.outliers import inliers
+    from capture2vr.edge.field import anchor_fit
+    from capture2vr.edge.field.anchors import AnchorField
+    from capture2vr.edge.points.outliers import inliers
 
     for constant, value in settings.changes.items():
         setattr(anchor_fit, constant, value)
@@ -180,7 +180,7 @@ def shortened(config: NetworkConfig, settings: Settings) -> NetworkConfig:
 
 def near(xyz_unit: Floats, seed: int, count: int = 10_000) -> Floats:
     """(count,3) queries beside random points, at half their mean spacing."""
-    from services.edge.mesh.spacing import point_spacing
+    from capture2vr.edge.mesh.spacing import point_spacing
 
     rng = np.random.default_rng(seed)
     xyz = xyz_unit[rng.integers(len(xyz_unit), size=count)]

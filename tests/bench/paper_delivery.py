@@ -15,14 +15,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.export.glb import to_glb
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.simplify import lods
-from services.edge.pipeline import reconstruct
-from services.edge.preset import load_preset
-from services.storage.bundle import Bundle
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.simplify import lods
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import load_preset
+from capture2vr.storage.bundle import Bundle
 from tests.bench.delivery import import_costs, read_mesh, write_obj
 from tests.bench.paper_figures import NAMES, product_mesh
 from tests.bench.paper_tables import DRESS

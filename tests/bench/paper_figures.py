@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.nouns import Mesh
 from tests.bench import heat_maps
 from tests.bench.heat_maps import Column, View
 from tests.bench.methods import Settings, make

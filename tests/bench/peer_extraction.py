@@ -22,17 +22,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from services.edge.arrays import Floats
-from services.edge.mesh.clean import clean
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.extract import extract
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import sample
-from services.edge.mesh.topology import component_count
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.network_fit import fit_network
-from services.edge.paper_field.networks import network_of
-from services.edge.preset import load_preset
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.mesh.topology import component_count
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.network_fit import fit_network
+from capture2vr.edge.paper_field.networks import network_of
+from capture2vr.edge.preset import load_preset
 from tests.bench.methods import Settings, peak_mb, shortened
 from tests.bench.peer_fields import run_child
 from tests.bench.published import OBJECTS, Cell, add_state, cells, weights_reached

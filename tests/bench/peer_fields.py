@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
 from tests.bench import heat_maps, yardstick
 from tests.bench.cell import ROOT, figures_of, run_cell
 from tests.bench.heat_maps import Column, View

@@ -111,8 +111,8 @@ def with_weights(network: torch.nn.Module, path: Path) -> torch.nn.Module:
 
 def _meshed(field_of: Callable[[Path, Any], Any], folder: Path, points: Any, cells: int) -> tuple[Any, Any, float]:
     """A peer's field, meshed by the product's extraction and cleaning."""
-    from services.edge.mesh.clean import clean
-    from services.edge.mesh.extract import extract
+    from capture2vr.edge.mesh.clean import clean
+    from capture2vr.edge.mesh.extract import extract
 
     began = time.process_time()
     field = field_of(folder, points)

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from services.edge.single_photo.network import POINTS, base_sphere
-from services.edge.single_photo_training.batches import Batch, training_batches
-from services.edge.single_photo_training.losses import chamfer_loss
+from capture2vr.edge.single_photo.network import POINTS, base_sphere
+from tests.bench.single_photo_training.batches import Batch, training_batches
+from tests.bench.single_photo_training.losses import chamfer_loss
 
 MINUTES = 14.0  # of one core: what it was given
 _WIDTHS = (4, 48, 96, 192, 384)

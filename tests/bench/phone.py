@@ -17,9 +17,9 @@ from PIL import Image
 from pillow_heif import register_heif_opener
 from playwright.sync_api import Page, sync_playwright
 
-from services.cli.progress import StageBar
-from services.cli.push import follow, upload
-from services.cli.up import run_stack
+from capture2vr.cli.progress import StageBar
+from capture2vr.cli.remote.push import follow, upload
+from capture2vr.cli.up import run_stack
 from tests.bench.data_files import data_file
 from tests.support.chromium import launch
 from tests.support.screenshots import drawn, stage

@@ -16,10 +16,10 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from services.edge.arrays import Floats, Ints
-from services.edge.capture.nouns import Intrinsics
-from services.edge.points.orbit import meeting_point
-from services.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.capture.nouns import Intrinsics
+from capture2vr.edge.fusion.orbit import meeting_point
+from capture2vr.edge.render.posed_picture import PosedPicture
 from tests.bench.data_files import data_file
 from tests.support.walkaround import render_walkaround
 

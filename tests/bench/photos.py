@@ -16,15 +16,15 @@ import numpy as np
 import scipy.ndimage
 import trimesh
 
-from services.edge.arrays import Bools, Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Frame, Intrinsics
-from services.edge.capture_to_points import to_points
-from services.edge.mesh.align_to_reference import align_to_surface, measure_overlay
-from services.edge.photos.depth_maps import depth_frames
-from services.edge.photos.screening import screen
-from services.edge.photos.structure_from_motion import align
-from services.edge.photos.to_depth import to_depth
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.cameras.screening import screen
+from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.capture.nouns import Frame, Intrinsics
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.mesh.align_to_reference import align_to_surface, measure_overlay
+from capture2vr.edge.photos.depth_maps import depth_frames
+from capture2vr.edge.photos.to_depth import to_depth
+from capture2vr.edge.read_capture import read_capture
 from tests.bench.case_table import print_cases
 from tests.bench.photo_sets import PhotoSet, film, fruit, shell
 

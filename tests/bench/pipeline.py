@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.pipeline import reconstruct
-from services.edge.preset import load_preset
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import load_preset
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.bench.data_files import data_file
 
 _STAGES = ("POINT_CLOUD", "FITTING", "EXTRACTING", "TEXTURING", "PACKING", "PUBLISHING")

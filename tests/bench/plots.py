@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
 from tests.bench.report import Grid
 
 WORST = 4.0  # times the floor, where the colours end: beyond it a mesh is of no use

@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.points.unit import unit_frame
-from services.edge.preset import load_preset
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.points.unit import unit_frame
+from capture2vr.edge.preset import load_preset
 from tests.bench.cell import ROOT, figures_of
 from tests.bench.cell import run_cell as run_yardstick_cell
 from tests.bench.methods import Settings, near, peak_mb
@@ -226,11 +226,11 @@ def run_cell(cell: Cell, state: Path, until: float, device: str) -> None:
     """Train a cell from its checkpoint on, until the time is over, and record what it reached."""
     import torch
 
-    from services.edge.field import checkpoint
-    from services.edge.mesh.clean import clean
-    from services.edge.mesh.extract import extract
-    from services.edge.paper_field.learned import LearnedField
-    from services.edge.paper_field.network_fit import fit_network
+    from capture2vr.edge.field import checkpoint
+    from capture2vr.edge.mesh.clean import clean
+    from capture2vr.edge.mesh.extract import extract
+    from capture2vr.edge.paper_field.learned import LearnedField
+    from capture2vr.edge.paper_field.network_fit import fit_network
 
     kind = _kind(device)
     folder = state / _folder_name(cell, kind)
@@ -273,7 +273,7 @@ def run_cell(cell: Cell, state: Path, until: float, device: str) -> None:
 
 
 def _figures(mesh: Mesh, field: Any, points: Floats, truth: Mesh) -> dict[str, Any]:
-    from services.edge.certificate import consistency
+    from capture2vr.edge.certificate import consistency
 
     if not len(mesh.faces):
         return {"failed": "no surface was found"}

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import services
+import capture2vr
 
 _EDGE = Path(__file__).parents[2] / "services" / "edge"
 # What decides over a mesh of the product; the literature never sees anchors, patches or the noise estimate, so cells of
@@ -59,7 +59,7 @@ def fingerprint(settings: dict[str, Any]) -> str:
 def code_version(method: str) -> str:
     """The product's version and a digest of the sources that decide over that method's mesh."""
     published = (_EDGE / "presets" / "literature" / f"{method}.toml").exists()
-    return f"{services.__version__}+{_digest(_LITERATURE if published else _PRODUCT)}"
+    return f"{capture2vr.__version__}+{_digest(_LITERATURE if published else _PRODUCT)}"
 
 
 @cache

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Floats, no_tick
-from services.edge.capture.nouns import Frame
+from capture2vr.edge.arrays import Floats, no_tick
+from capture2vr.edge.capture.nouns import Frame
 from tests.bench.scenes import NEAR_M, compare, cpu_seconds, pictures
 from tests.support.flat_walks import FlatWalk, flat_walk
 
@@ -173,8 +173,8 @@ def _walk(frames: int, state: Path) -> tuple[FlatWalk, Path]:
 
 def _measure_points(frames: int, state: Path) -> PointFigures:
     """Make the points of a walk with poses, and compare them with the truth."""
-    from services.edge.capture.detect import read_capture
-    from services.edge.capture_to_points import to_points
+    from capture2vr.edge.capture_to_points import to_points
+    from capture2vr.edge.read_capture import read_capture
 
     walk, folder = _walk(frames, state)
     before = cpu_seconds()
@@ -195,12 +195,12 @@ def _measure_points(frames: int, state: Path) -> PointFigures:
 
 def _measure_tiles(frames: int, state: Path) -> TileFigures:
     """Reconstruct a walk with poses, and compare its finest tiles with the truth."""
-    from services.edge.capture.detect import read_capture
-    from services.edge.pipeline import reconstruct
-    from services.edge.preset import load_preset
-    from services.edge.progress import Progress
-    from services.edge.tiles.folder import tiles_folder
-    from services.storage.bundle import Bundle
+    from capture2vr.edge.pipeline import reconstruct
+    from capture2vr.edge.preset import load_preset
+    from capture2vr.edge.progress import Progress
+    from capture2vr.edge.read_capture import read_capture
+    from capture2vr.edge.tiles.folder import tiles_folder
+    from capture2vr.storage.bundle import Bundle
 
     walk, folder = _walk(frames, state)
     checkpoint, refined = state / f"{frames}.checkpoint", None
@@ -235,10 +235,10 @@ def _measure_tiles(frames: int, state: Path) -> TileFigures:
 
 def _measure_drift(frames: int, state: Path) -> DriftFigures:
     """Track a walk without poses, and compare its way with the true one, before and after loops are closed."""
-    from services.edge.capture.detect import read_capture
-    from services.edge.odometry.loop_closure import close_loops
-    from services.edge.odometry.tracker import follow_frames
-    from services.edge.points.frame_faults import FrameFaults
+    from capture2vr.edge.odometry.loop_closure import close_loops
+    from capture2vr.edge.odometry.tracker import follow_frames
+    from capture2vr.edge.points.frame_faults import FrameFaults
+    from capture2vr.edge.read_capture import read_capture
 
     walk, folder = _walk(frames, state)
     before = cpu_seconds()

@@ -22,11 +22,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area, sample
-from services.edge.mesh.topology import compact
-from services.edge.srgb import to_srgb
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area, sample
+from capture2vr.edge.mesh.topology import compact
+from capture2vr.edge.srgb import to_srgb
 from tests.bench.peak_memory import peak_memory
 from tests.support.flats import ROOM, Flat, flat
 
@@ -143,14 +143,14 @@ def _in_child(millions: int, state: Path) -> SceneFigures:
 
 def _measure(millions: int, state: Path) -> SceneFigures:
     """Scan, reconstruct and compare one flat; what a killed run has finished, and its times, count."""
-    from services.cli.edge_settings import machine_room
-    from services.edge.capture.detect import read_capture
-    from services.edge.engine.address import LOCAL, engine_for_parts
-    from services.edge.pipeline import reconstruct
-    from services.edge.preset import load_preset
-    from services.edge.progress import Progress
-    from services.edge.tiles.folder import tiles_folder
-    from services.storage.bundle import Bundle
+    from capture2vr.cli.local.edge_settings import machine_room
+    from capture2vr.edge.engine.address import LOCAL, engine_for_parts
+    from capture2vr.edge.pipeline import reconstruct
+    from capture2vr.edge.preset import load_preset
+    from capture2vr.edge.progress import Progress
+    from capture2vr.edge.read_capture import read_capture
+    from capture2vr.edge.tiles.folder import tiles_folder
+    from capture2vr.storage.bundle import Bundle
 
     truth, folder = flat(millions), state / f"{millions}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -278,7 +278,7 @@ def pictures(leaves: Sequence[Path], to_truth: Floats) -> bytes:
 
 def _cut_open(meshes: Sequence[Mesh], to: Floats) -> Mesh:
     """Join meshes, without what lies above _CEILING_M or beyond `to` (3,)."""
-    from services.edge.tiles.tile_levels import joined
+    from capture2vr.edge.tiles.tile_levels import joined
 
     high = np.minimum(to + 0.05, [np.inf, _CEILING_M, np.inf])
     kept = []
@@ -289,7 +289,7 @@ def _cut_open(meshes: Sequence[Mesh], to: Floats) -> Mesh:
 
 
 def _picture(mesh: Mesh) -> Bytes:
-    from services.edge.render.renderer import RenderMesh, place_cameras, render_view
+    from capture2vr.edge.render.renderer import RenderMesh, place_cameras, render_view
 
     subject = RenderMesh.of(replace(mesh), _PICTURE_PX, sky_rays=4_000_000)
     view = render_view(subject, place_cameras(subject, (30.0,), 50.0)[0], _PICTURE_PX)

@@ -22,16 +22,16 @@ from typing import Any
 
 import httpx
 
-from services.cli.up import free_port
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.gateway.access.store import AccessStore
-from services.gateway.access.tables import api_keys, tenants
-from services.gateway.database import open_engine
-from services.storage.bundle import Bundle
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
-from services.storage.tenant_store import store_of_tenant, tenant_prefix
+from capture2vr.cli.up import free_port
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.access.tables import api_keys, tenants
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.tenant_store import store_of_tenant, tenant_prefix
 from tests.support.in_process_gateway import capture
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
 from tests.support.tenants import bearer, make_key
@@ -257,7 +257,7 @@ def _site(folder: Path, *, slots: int, gateways: int = 1, workers: int = 1) -> I
     make_key(folder, "default", {Scope.OPERATE})
     doors = [
         ServiceProcess(
-            "services.gateway",
+            "capture2vr.gateway",
             folder / f"gateway{number}.log",
             GATEWAY_PORT=port,
             GATEWAY_DATA_DIR=folder / f"gateway{number}",
@@ -287,7 +287,7 @@ def _gateway(folder: Path, name: str, **variables: object) -> Iterator[str]:
     """A gateway process on a folder of that name, without workers; its URL."""
     port = free_port()
     process = ServiceProcess(
-        "services.gateway",
+        "capture2vr.gateway",
         folder / f"{name}.log",
         GATEWAY_PORT=port,
         GATEWAY_DATA_DIR=folder / name,
@@ -370,7 +370,7 @@ def _link(store: LocalStore, template: list[Path], tenant: str) -> None:
 
 def _make_keys(engine: Any, count: int) -> list[str]:
     """A key for every tenant, in one transaction."""
-    from services.gateway.access.api_key import hash_of, new_secret
+    from capture2vr.gateway.access.api_key import hash_of, new_secret
 
     now, made = time.time(), [new_secret(f"t{number}") for number in range(count)]
     with engine.begin() as db:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import component_count
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.topology import component_count
 from tests.bench.data_files import data_file
 from tests.support import surfaces
 from tests.support.mesh_metrics import welded

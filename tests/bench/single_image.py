@@ -20,30 +20,30 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from services.edge.arrays import Floats
-from services.edge.field.denoise import denoise
-from services.edge.field.folds import noise_of
-from services.edge.field.local import local_field
-from services.edge.mesh.clean import clean
-from services.edge.mesh.extract import extract
-from services.edge.mesh.sampling import sample
-from services.edge.mesh.spacing import auto_resolution
-from services.edge.points.denoise_stereo import smooth_stereo_points
-from services.edge.points.unit import unit_frame
-from services.edge.single_photo.camera import about_vertical
-from services.edge.single_photo.densify import densify
-from services.edge.single_photo.guess import combine
-from services.edge.single_photo.network import POINTS, Pixels
-from services.edge.single_photo.test_time_views import VIEWS, predict_from_views
-from services.edge.single_photo.weights import load_pixels
-from services.edge.single_photo_training.batches import BATCH, Batch, held_out_batch, real_batch, training_batches
-from services.edge.single_photo_training.evaluate import head_points
-from services.edge.single_photo_training.field_heads import anchors
-from services.edge.single_photo_training.losses import chamfer, f_score
-from services.edge.single_photo_training.real_things import read_things
-from services.edge.single_photo_training.shapes import CLASSES, PAPER_CLASSES
-from services.edge.single_photo_training.weight_files import load_field, training_of
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.field.denoise import denoise
+from capture2vr.edge.field.folds import noise_of
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.mesh.spacing import auto_resolution
+from capture2vr.edge.points.denoise_stereo import smooth_stereo_points
+from capture2vr.edge.points.unit import unit_frame
+from capture2vr.edge.single_photo.camera import about_vertical
+from capture2vr.edge.single_photo.densify import densify
+from capture2vr.edge.single_photo.guess import combine
+from capture2vr.edge.single_photo.network import POINTS, Pixels
+from capture2vr.edge.single_photo.prediction_views import VIEWS, predict_from_views
+from capture2vr.edge.single_photo.weights import load_pixels
 from tests.bench.peer_image import MINUTES, peer
+from tests.bench.single_photo_training.batches import BATCH, Batch, held_out_batch, real_batch, training_batches
+from tests.bench.single_photo_training.evaluate import head_points
+from tests.bench.single_photo_training.field_heads import anchors
+from tests.bench.single_photo_training.losses import chamfer, f_score
+from tests.bench.single_photo_training.real_things import read_things
+from tests.bench.single_photo_training.shapes import CLASSES, PAPER_CLASSES
+from tests.bench.single_photo_training.weight_files import load_field, training_of
 from tests.conftest import data_folder
 
 _EACH = 10  # held-out shapes of every class

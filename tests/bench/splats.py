@@ -23,24 +23,24 @@ import numpy as np
 import torch
 import trimesh
 
-from services.cli.demo_phone import simulate_capture
-from services.edge.arrays import Bools, Floats
-from services.edge.asset.photo_check import posed_picture
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture
-from services.edge.convert.read_glb import read_glb
-from services.edge.mesh.concatenate import concatenate
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.photos.to_depth import to_depth
-from services.edge.pipeline import reconstruct
-from services.edge.points.texture_views import hold_out_frames, texture_view
-from services.edge.preset import load_preset
-from services.edge.render.photo_comparison import LikenessCheck, check_likeness, check_surface, compare_colours
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
-from services.edge.splats.spz import from_spz, to_spz
-from services.edge.splats.surface_splats import Splats, cover_with_splats
-from services.storage.bundle import Bundle
+from capture2vr.cli.demonstration.demo_phone import simulate_capture
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.asset.photo_check import posed_picture
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.convert.read_glb import read_glb
+from capture2vr.edge.fusion.texture_views import hold_out_frames, texture_view
+from capture2vr.edge.mesh.concatenate import concatenate
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.photos.to_depth import to_depth
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import load_preset
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.render.photo_comparison import LikenessCheck, check_likeness, check_surface, compare_colours
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
+from capture2vr.edge.splats.spz import from_spz, to_spz
+from capture2vr.edge.splats.surface_splats import Splats, cover_with_splats
+from capture2vr.storage.bundle import Bundle
 from tests.bench import captures
 from tests.bench.cell import ROOT
 

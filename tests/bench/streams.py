@@ -17,10 +17,10 @@ from threading import Barrier
 
 import numpy as np
 
-from services.edge.field.device import find_device, own_stream
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.network_fit import fit_network
-from services.edge.preset import load_preset
+from capture2vr.edge.field.device import find_device, own_stream
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.network_fit import fit_network
+from capture2vr.edge.preset import load_preset
 from tests.bench.complexity import WARM
 from tests.support import surfaces
 

@@ -20,15 +20,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from services.cli.demo_garment import garment_scene
-from services.cli.demo_phone import simulate_capture
-from services.edge.asset import assemble
-from services.edge.capture.detect import read_capture
-from services.edge.mesh.nouns import TexturedMesh
-from services.edge.pipeline import reconstruct
-from services.edge.preset import Preset, load_preset
-from services.edge.texture import texture_mesh
-from services.storage.bundle import Bundle
+from capture2vr.cli.demonstration.demo_garment import garment_scene
+from capture2vr.cli.demonstration.demo_phone import simulate_capture
+from capture2vr.edge.asset import assemble
+from capture2vr.edge.mesh.nouns import TexturedMesh
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import Preset, load_preset
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.texture import texture_mesh
+from capture2vr.storage.bundle import Bundle
 from tests.bench.data_files import data_file
 
 ROOT = Path(__file__).parents[2]

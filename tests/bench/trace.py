@@ -14,10 +14,10 @@ from pathlib import Path
 
 import httpx
 
-from services.cli.progress import StageBar
-from services.cli.push import follow, upload
-from services.cli.up import free_port
-from services.traces import trace_id
+from capture2vr.cli.progress import StageBar
+from capture2vr.cli.remote.push import follow, upload
+from capture2vr.cli.up import free_port
+from capture2vr.process.traces import trace_id
 from tests.bench.data_files import data_file
 from tests.support.gateway_process import running
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
@@ -93,7 +93,7 @@ def _reconstruct(source: Path, preset: str, folder: Path, collector: TraceCollec
     """Upload a capture and have it reconstructed; the capture's id, and how its job ended."""
     port = free_port()
     edge = ServiceProcess(
-        "services.edge",
+        "capture2vr.edge",
         folder / "edge.log",
         EDGE_PORT=port,
         EDGE_SCRATCH=folder / "scratch",

@@ -98,7 +98,7 @@ def gateway(folder: Path, *, keys: bool) -> Iterator[Door]:
         "STORAGE_ROOT": str(folder / "objects"),
     }
     headers = bearer(make_key(folder / "data", "ada")) if keys else {}
-    process = subprocess.Popen((sys.executable, "-m", "services.gateway"), env=environment)
+    process = subprocess.Popen((sys.executable, "-m", "capture2vr.gateway"), env=environment)
     door = Door(psutil.Process(process.pid), port, headers)
     try:
         while True:

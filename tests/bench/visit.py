@@ -17,17 +17,17 @@ import cv2
 import numpy as np
 from playwright.sync_api import Browser, BrowserContext, sync_playwright
 
-from services.cli.up import run_stack
-from services.edge.arrays import Bytes
-from services.edge.asset.target import measure_cost
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.mesh.simplify import lods
-from services.edge.render.contact_sheet import render_sheet
-from services.edge.texture.bake import jpeg_of
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.cli.up import run_stack
+from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.asset.target import measure_cost
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.mesh.simplify import lods
+from capture2vr.edge.render.contact_sheet import render_sheet
+from capture2vr.edge.texture.bake import jpeg_of
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.bench.delivery import scan
 from tests.support.chromium import launch
 

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import BrowserContext, CDPSession, Page, sync_playwright
 
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.texture.bake import jpeg_of
-from services.storage.catalogue.publish import publish
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.texture.bake import jpeg_of
+from capture2vr.storage.catalogue.publish import publish
 from tests.bench.visit import LINK, photo_like
 from tests.support.chromium import launch
 from tests.support.headsets import Hand, enter, wear

@@ -18,10 +18,10 @@ import httpx
 from PIL import Image, ImageDraw, ImageFont
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from services.cli.progress import StageBar
-from services.cli.push import follow, upload
-from services.cli.up import Stack, run_stack
-from services.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.cli.progress import StageBar
+from capture2vr.cli.remote.push import follow, upload
+from capture2vr.cli.up import Stack, run_stack
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
 from tests.bench.data_files import data_file
 from tests.support.chromium import launch
 from tests.support.headsets import Hand, enter, frames, wear

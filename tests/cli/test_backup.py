@@ -20,18 +20,18 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from services.cli.backup_folder import backups_in
-from services.cli.main import main
-from services.cli.sealed_keys import PASSPHRASE_VARIABLE
-from services.cli.up import free_port
-from services.gateway.database import open_engine
-from services.gateway.instance_lock import lock_instance
-from services.gateway.jobs.job import Order
-from services.gateway.jobs.store import JobStore
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import generate_key
-from services.storage.local import LocalStore
-from services.storage.store import list_all
+from capture2vr.cli.backups.backup_folder import backups_in
+from capture2vr.cli.backups.sealed_keys import PASSPHRASE_VARIABLE
+from capture2vr.cli.main import main
+from capture2vr.cli.up import free_port
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.database.instance_lock import lock_instance
+from capture2vr.gateway.jobs.job import Order
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import generate_key
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import list_all
 from tests.conftest import missing
 from tests.referees.postgres import programs, running
 from tests.referees.s3.server import S3Server
@@ -47,7 +47,7 @@ PASSPHRASE = "a passphrase of a test"
 
 
 def capture2vr(environment: Mapping[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "services.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "capture2vr.cli", *map(str, arguments)]
     variables = {**os.environ, **environment}
     return subprocess.run(command, env=variables, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S)
 
@@ -183,7 +183,7 @@ def test_all_comes_back_on_an_empty_machine(places: list[dict[str, object]], lea
 
 
 def make_bucket(machine: Machine) -> None:
-    command = [sys.executable, "-m", "services.storage.bucket"]
+    command = [sys.executable, "-m", "capture2vr.storage.bucket"]
     subprocess.run(command, env={**os.environ, **machine.environment}, check=True, capture_output=True)
 
 

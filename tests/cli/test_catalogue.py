@@ -14,14 +14,14 @@ from pathlib import Path
 import pytest
 import uvicorn
 
-from services.cli.main import main
-from services.gateway.app import create_app
-from services.gateway.settings import GatewaySettings
-from services.storage.catalogue.collection import index_name
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import Keys, generate_key, read_signer
-from services.storage.local import LocalStore
+from capture2vr.cli.main import main
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.catalogue.collection import index_name
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
+from capture2vr.storage.local import LocalStore
 from tests.support.bundles import bundle
 
 INDEX = index_name("default")

@@ -11,15 +11,15 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from services.cli.demo_garment import garment, garment_scene
-from services.cli.demo_phone import simulate_capture
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Frame
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import sample
-from services.edge.mesh.topology import component_count
+from capture2vr.cli.demonstration.demo_garment import garment, garment_scene
+from capture2vr.cli.demonstration.demo_phone import simulate_capture
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Capture, Frame
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.mesh.topology import component_count
+from capture2vr.edge.read_capture import read_capture
 from tests.support import surfaces
 
 FRAMES = 6

@@ -18,13 +18,13 @@ import httpx
 import pytest
 from cryptography import x509
 
-from services.cli import tls_authority
-from services.cli.deploy_work import WORKER_NAMES, KeyFolder
-from services.cli.up import free_port
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.verify import fetch_from, verify
-from services.storage.memory import MemoryStore
-from services.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys
+from capture2vr.cli.deployment import tls_authority
+from capture2vr.cli.deployment.deploy_work import WORKER_NAMES, KeyFolder
+from capture2vr.cli.up import free_port
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.verify import fetch_from, verify
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys
 from tests.support.bundles import bundle
 from tests.support.patience import HANG_S, PATIENCE_S
 from tests.support.repository import ROOT
@@ -48,7 +48,7 @@ def init(deployment: Path) -> Init:
     """The command, in a process, which must end well unless `status` says otherwise."""
 
     def call(*arguments: str, status: int = 0) -> Ended:
-        command = [sys.executable, "-m", "services.cli", "deploy", "init", "--out", str(deployment), *arguments]
+        command = [sys.executable, "-m", "capture2vr.cli", "deploy", "init", "--out", str(deployment), *arguments]
         ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S)
         assert ended.returncode == status, ended.stderr
         return ended
@@ -253,7 +253,7 @@ def test_a_gateway_and_a_worker_know_each_other_by_what_is_written(init: Init, d
     given, port = here(deployment), free_port()
     shared = {"STORAGE_ROOT": deployment / "objects", "STORAGE_SIGNING_KEY": given["STORAGE_SIGNING_KEY"]}
     worker = ServiceProcess(
-        "services.edge",
+        "capture2vr.edge",
         deployment / "edge.log",
         EDGE_PORT=port,
         EDGE_SCRATCH=deployment / "scratch",
@@ -269,7 +269,7 @@ def _workers_are_ready(deployment: Path, worker: int, ca: str, token: str, share
     """Whether a gateway with this CA and token finds the worker; it refuses the token, or waits for the start."""
     port, log = free_port(), deployment / f"gateway-{token[:4]}.log"
     gateway = ServiceProcess(
-        "services.gateway",
+        "capture2vr.gateway",
         log,
         GATEWAY_PORT=port,
         GATEWAY_DATA_DIR=deployment / f"data-{token[:4]}",

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from services.cli.convert import convert_folder
-from services.cli.download_format import download_format
-from services.cli.errors import BadInput
-from services.cli.up import run_stack
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.local.convert import convert_folder
+from capture2vr.cli.remote.download_format import download_format
+from capture2vr.cli.up import run_stack
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.support.downloadable import SHEET, SLATE, downloadable, written
 
 

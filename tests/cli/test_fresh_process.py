@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.cli.up import free_port
+from capture2vr.cli.up import free_port
 from tests.support.clouds import write_ply
 from tests.support.fresh_process import run_fresh
 
 pytestmark = pytest.mark.slow
 
-MAIN = "from services.cli.main import main; main()"
+MAIN = "from capture2vr.cli.main import main; main()"
 # And what it loaded: PyTorch's compiler takes a second and 80 MB, and is of no use to a field.
 TRAIN = """
 import sys
-from services.cli.main import main
+from capture2vr.cli.main import main
 try:
     main()
 finally:

@@ -8,8 +8,8 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from services.cli.errors import BadInput
-from services.cli.main import app
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.main import app
 
 
 @pytest.fixture

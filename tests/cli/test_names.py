@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from services.asset_names import AssetNames
-from services.gateway.access.caller import Scope
-from services.storage.catalogue.entry import read_entry
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.sites import site_at
 from tests.support.tenants import make_key, publish_for
 
@@ -32,7 +32,7 @@ def test_an_asset_is_named_and_what_is_no_name_is_told(tmp_path: Path) -> None:
         told = {**os.environ, "CAPTURE2VR_KEY": key, "CAPTURE2VR_GATEWAY": site.url, "COLUMNS": "300"}
 
         def name(*arguments: str) -> subprocess.CompletedProcess[str]:
-            command = [sys.executable, "-m", "services.cli", "name", *arguments]
+            command = [sys.executable, "-m", "capture2vr.cli", "name", *arguments]
             return subprocess.run(command, env=told, capture_output=True, text=True, timeout=120)
 
         done = name("cup", "--label", "[bold]Cup", "--tag", "blue", "--tag", "Kitchen")

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from services.gateway.access.caller import Scope
-from services.storage.catalogue.entry import read_entry
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.sites import site_at
 from tests.support.tenants import make_key, publish_for
 
@@ -33,7 +33,7 @@ def test_notes_are_pinned_listed_and_removed(tmp_path: Path) -> None:
         told = {**os.environ, "CAPTURE2VR_KEY": key, "CAPTURE2VR_GATEWAY": site.url, "COLUMNS": "300"}
 
         def notes(*arguments: str) -> subprocess.CompletedProcess[str]:
-            command = [sys.executable, "-m", "services.cli", "notes", *arguments]
+            command = [sys.executable, "-m", "capture2vr.cli", "notes", *arguments]
             return subprocess.run(command, env=told, capture_output=True, text=True, timeout=120)
 
         done = notes("cup", "--add", "[bold]Worn\nhere", "--at", "0.5", "-0.25", "2")

@@ -13,18 +13,18 @@ from pathlib import Path
 
 import pytest
 
-from services.cli import pull as pull_module
-from services.cli.errors import BadInput
-from services.cli.pull import default_cache, pull_asset
-from services.cli.seen_version import SeenVersion, state_folder
-from services.storage.bundle import content_name, sha256_hex
-from services.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.reader import parse_manifest
-from services.storage.catalogue.removal import remove
-from services.storage.catalogue.signing import Keys, generate_key, read_signer
-from services.storage.memory import MemoryStore
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.remote import pull as pull_module
+from capture2vr.cli.remote.pull import default_cache, pull_asset
+from capture2vr.cli.remote.seen_version import SeenVersion, state_folder
+from capture2vr.storage.bundle import content_name, sha256_hex
+from capture2vr.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.reader import parse_manifest
+from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
+from capture2vr.storage.memory import MemoryStore
 from tests.support.bundles import bundle
 from tests.support.tilesets import hill_bundle
 

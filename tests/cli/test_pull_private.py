@@ -9,12 +9,12 @@ from typing import Any
 import httpx
 import pytest
 
-from services.cli.errors import BadInput
-from services.cli.pull import pull_asset
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import Keys, generate_key, read_signer
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.remote.pull import pull_asset
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.bundles import bundle
 from tests.support.sites import Site, site_at
 from tests.support.tenants import bearer, make_key, publish_for

@@ -15,12 +15,12 @@ from typing import Any
 import httpx
 import pytest
 
-from services.cli import push
-from services.cli.errors import BadInput
-from services.cli.progress import StageBar
-from services.cli.push import push_capture, upload
-from services.gateway.worker_client import INSPECT_S
-from services.storage.archives import pack
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.progress import StageBar
+from capture2vr.cli.remote import push
+from capture2vr.cli.remote.push import push_capture, upload
+from capture2vr.gateway.workers.worker_client import INSPECT_S
+from capture2vr.process.archives import pack
 from tests.support.gateway_process import running
 from tests.support.patience import PATIENCE_S
 from tests.support.repository import ROOT
@@ -30,8 +30,8 @@ _MEGABYTE = 1 << 20
 _PUSH = """
 import sys, httpx
 from pathlib import Path
-from services.cli.progress import StageBar
-from services.cli.push import upload
+from capture2vr.cli.progress import StageBar
+from capture2vr.cli.remote.push import upload
 with httpx.Client(base_url=sys.argv[1]) as client, StageBar() as bar:
     upload(client, Path(sys.argv[2]), bar)
 """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from services.cli.required_packages import required_packages
+from capture2vr.cli.deployment.required_packages import required_packages
 
 METADATA = """Metadata-Version: 2.4
 Name: walnut

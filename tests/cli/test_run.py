@@ -14,9 +14,9 @@ import pytest
 import trimesh
 from PIL import Image
 
-from services.cli.errors import BadInput
-from services.cli.run import RunOptions, _read_reference, run_capture, run_preset
-from services.edge.preset import Preset
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.local.run import RunOptions, _read_reference, run_capture, run_preset
+from capture2vr.edge.preset import Preset
 from tests.referees.glb_reader import Glb
 from tests.support.clouds import write_ply
 
@@ -28,7 +28,7 @@ COARSE = Preset("coarse", resolution=48, most_points=10_000, lod_faces=(2_000,))
 
 def capture2vr(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process of its own."""
-    command = [sys.executable, "-m", "services.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "capture2vr.cli", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd)
 
 

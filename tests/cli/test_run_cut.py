@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from services.cli.main import app
-from services.cli.report import _UP_SOURCES
-from services.edge.capture.nouns import UpTeller
+from capture2vr.cli.local.report import _UP_SOURCES
+from capture2vr.cli.main import app
+from capture2vr.edge.capture.nouns import UpTeller
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_pictures")]
 

@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.cli.errors import BadInput
-from services.cli.push import continue_capture, push_capture
-from services.cli.run import DEFAULTS, Results, RunOptions, run_preset
-from services.cli.run_many import run_captures
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.preset import Preset, preset_names
-from services.edge.worker import memory_budget
-from services.storage.archives import pack
-from services.storage.bundle import Bundle, sha256_hex
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.local.run import DEFAULTS, Results, RunOptions, run_preset
+from capture2vr.cli.local.run_many import run_captures
+from capture2vr.cli.remote.push import continue_capture, push_capture
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.preset import Preset, preset_names
+from capture2vr.edge.worker import memory_budget
+from capture2vr.process.archives import pack
+from capture2vr.storage.bundle import Bundle, sha256_hex
 from tests.cli.test_run import capture2vr
 from tests.support.clouds import write_ply
 from tests.support.patience import HANG_S
@@ -40,10 +40,10 @@ LONG = """
 import sys
 from pathlib import Path
 import pytest
-from services.cli.run import run_preset
-from services.edge.field import checkpoint
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.preset import Preset
+from capture2vr.cli.local.run import run_preset
+from capture2vr.edge.field import checkpoint
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.preset import Preset
 from tests.support.small_pictures import draw_small
 checkpoint.SECONDS = 0.2
 draw_small(pytest.MonkeyPatch())
@@ -347,7 +347,7 @@ def test_a_command_that_is_ended_leaves_no_copy_of_the_capture(
     pack(bowl, tmp_path / "bowl.zip")
     scratch = tmp_path / "tmp"
     scratch.mkdir()
-    command = [sys.executable, "-m", "services.cli", "run", tmp_path / "bowl.zip", "-o", tmp_path / "out"]
+    command = [sys.executable, "-m", "capture2vr.cli", "run", tmp_path / "bowl.zip", "-o", tmp_path / "out"]
     child = subprocess.Popen(
         command,
         stderr=subprocess.DEVNULL,

@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.gateway.access.caller import Scope
+from capture2vr.gateway.access.caller import Scope
 from tests.support.sites import Site, site_at
 from tests.support.tenants import make_key, publish_for
 
@@ -34,7 +34,7 @@ def shares(site: Site, tmp_path: Path) -> Shares:
 
     def call(*arguments: str, **variables: str) -> Ended:
         told = {"CAPTURE2VR_KEY": key, "CAPTURE2VR_GATEWAY": site.url, "COLUMNS": "300", **variables}
-        command = [sys.executable, "-m", "services.cli", "shares", *arguments]
+        command = [sys.executable, "-m", "capture2vr.cli", "shares", *arguments]
         return subprocess.run(command, env={**os.environ, **told}, capture_output=True, text=True, timeout=60)
 
     return call

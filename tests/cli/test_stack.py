@@ -22,10 +22,10 @@ import psutil
 import pytest
 from PIL import Image
 
-from services.cli.demo import run_demo
-from services.cli.errors import BadInput
-from services.cli.push import follow
-from services.cli.up import free_port, is_free, run_stack
+from capture2vr.cli.demonstration.demo import run_demo
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.remote.push import follow
+from capture2vr.cli.up import free_port, is_free, run_stack
 from tests.cli.test_run import capture2vr
 from tests.conftest import missing
 from tests.support.clouds import write_ply
@@ -39,7 +39,7 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The URL that `capture2vr up` prints."""
     port = free_port()
     data = tmp_path_factory.mktemp("up")
-    command = [sys.executable, "-m", "services.cli", "up", "--port", str(port), "--data", str(data)]
+    command = [sys.executable, "-m", "capture2vr.cli", "up", "--port", str(port), "--data", str(data)]
     environment = {**os.environ, "EDGE_DEVICE": "cpu"}  # a worker that looks for a GPU imports PyTorch
     child = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True, bufsize=1)
     try:
@@ -196,7 +196,7 @@ def test_a_taken_port_is_said_plainly(url: str, tmp_path: Path) -> None:
 def test_a_terminal_that_is_closed_ends_the_services_too(tmp_path: Path, wrapper: list[str]) -> None:
     """The tests themselves may run with the signal ignored, which their processes inherit."""
     port = free_port()
-    command = [sys.executable, "-m", "services.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
+    command = [sys.executable, "-m", "capture2vr.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
     with subprocess.Popen([*wrapper, *command], stderr=subprocess.PIPE, text=True) as product:
         try:
             assert product.stderr is not None
@@ -216,7 +216,7 @@ def test_a_terminal_that_is_closed_ends_the_services_too(tmp_path: Path, wrapper
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's signal at a parent's death is Linux's")
 def test_an_up_that_is_killed_leaves_no_service_behind(tmp_path: Path) -> None:
     port = free_port()
-    command = [sys.executable, "-m", "services.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
+    command = [sys.executable, "-m", "capture2vr.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as product:
         assert product.stderr is not None
         assert any("capture page" in line for line in product.stderr)
@@ -233,7 +233,7 @@ def test_a_start_that_waits_for_its_store_can_be_stopped(tmp_path: Path, monkeyp
     for name, value in {**nowhere, "STORAGE_ACCESS_KEY": "a", "STORAGE_SECRET_KEY": "b" * 9}.items():
         monkeypatch.setenv(name, value)
     port = str(free_port())
-    command = [sys.executable, "-m", "services.cli", "up", "--port", port, "--data", tmp_path]
+    command = [sys.executable, "-m", "capture2vr.cli", "up", "--port", port, "--data", tmp_path]
     child = subprocess.Popen(command, env={**os.environ, "EDGE_DEVICE": "cpu"}, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + HANG_S
     while is_free("127.0.0.1", int(port)):
@@ -248,7 +248,7 @@ def test_a_start_that_waits_for_its_store_can_be_stopped(tmp_path: Path, monkeyp
 
 def test_a_mistyped_setting_is_an_error_that_names_it() -> None:
     environment = {**os.environ, "EDGE_SLOT": "4"}
-    command = [sys.executable, "-m", "services.cli", "edge"]
+    command = [sys.executable, "-m", "capture2vr.cli", "edge"]
     result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert result.returncode == 2
     assert "EDGE_SLOT " in result.stderr
@@ -257,7 +257,7 @@ def test_a_mistyped_setting_is_an_error_that_names_it() -> None:
 
 def test_half_a_pair_of_keys_is_said_in_a_sentence() -> None:
     environment = {**os.environ, "STORAGE_KIND": "s3", "STORAGE_ACCESS_KEY": "one"}
-    command = [sys.executable, "-m", "services.cli", "gateway"]
+    command = [sys.executable, "-m", "capture2vr.cli", "gateway"]
     result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert result.returncode == 2
     assert "STORAGE_SECRET_KEY" in result.stderr
@@ -267,7 +267,17 @@ def test_half_a_pair_of_keys_is_said_in_a_sentence() -> None:
 def test_a_proxy_for_the_world_is_not_asked_for_this_machine(url: str, tmp_path: Path) -> None:
     nowhere = f"http://127.0.0.1:{free_port()}"
     environment = {**os.environ, "HTTP_PROXY": nowhere, "http_proxy": nowhere, "NO_PROXY": "", "no_proxy": ""}
-    command = [sys.executable, "-m", "services.cli", "pull", "never-made", "-o", str(tmp_path / "x"), "--gateway", url]
+    command = [
+        sys.executable,
+        "-m",
+        "capture2vr.cli",
+        "pull",
+        "never-made",
+        "-o",
+        str(tmp_path / "x"),
+        "--gateway",
+        url,
+    ]
     result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert "never-made" in result.stderr
     assert "cannot be reached" not in result.stderr
@@ -298,8 +308,8 @@ def test_doctor_finds_nothing_bad(url: str, tmp_path: Path) -> None:
 # is tested beside it asks for a gateway at the default one. Two minutes of a core become a quarter of one.
 DEMO = """
 import functools, sys
-from services.cli import demo, demo_phone
-from services.cli.main import main
+from capture2vr.cli import demo, demo_phone
+from capture2vr.cli.main import main
 demo._PRESET = "coarse"
 demo.DEFAULT_PORT = 0
 demo_phone.PHOTO = demo_phone.DEPTH.scaled_to(320, 240)

@@ -8,9 +8,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.cli.errors import BadInput
-from services.cli.visibility import set_visibility
-from services.gateway.access.caller import Scope
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.remote.visibility import set_visibility
+from capture2vr.gateway.access.caller import Scope
 from tests.support.sites import Site, site_at
 from tests.support.tenants import make_key, publish_for
 

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from services.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER
-from services.storage.unity.nouns import BASE_URL
-from services.storage.unity.publication import catalogue_names
+from capture2vr.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER
+from capture2vr.storage.unity.nouns import BASE_URL
+from capture2vr.storage.unity.publication import catalogue_names
 from tests.conftest import missing
 from tests.support.repository import ROOT
 

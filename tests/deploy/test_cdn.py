@@ -1,4 +1,4 @@
-"""The edge cache of deploy/nginx.conf in front of a real S3 server whose bucket was made by services.storage.bucket."""
+"""The edge cache of deploy/nginx.conf in front of a real S3 server, whose bucket capture2vr.storage.bucket made."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.cli.up import free_port
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.visibility import Visibility
-from services.storage.s3 import S3Store
-from services.storage.store import NO_CACHE
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.cli.up import free_port
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.s3 import S3Store
+from capture2vr.storage.store import NO_CACHE
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.conftest import missing
 from tests.referees.s3.server import S3Server
 from tests.support.patience import PATIENCE_S
@@ -43,7 +43,7 @@ NAME = f"assets/thing/lod0.{hashlib.sha256(CONTENT).hexdigest()}.glb"
 
 @pytest.fixture(scope="module")
 def bucket(s3_server: S3Server) -> S3Store:
-    """The bucket as `python -m services.storage.bucket` leaves it, run twice, with an asset and a capture in it."""
+    """The bucket as `python -m capture2vr.storage.bucket` leaves it, run twice, with an asset and a capture in it."""
     environment = {
         **os.environ,
         "STORAGE_KIND": "s3",
@@ -53,7 +53,7 @@ def bucket(s3_server: S3Server) -> S3Store:
         "STORAGE_SECRET_KEY": s3_server.secret_key,
     }
     for _ in range(2):
-        subprocess.run([sys.executable, "-m", "services.storage.bucket"], env=environment, check=True)
+        subprocess.run([sys.executable, "-m", "capture2vr.storage.bucket"], env=environment, check=True)
     store = S3Store(
         bucket=BUCKET,
         access_key=s3_server.access_key,

@@ -16,13 +16,13 @@ import pytest
 import yaml
 from pydantic import SecretStr
 
-import services
-from services.edge.worker.settings import EdgeSettings
-from services.gateway.access.api_key import new_secret
-from services.gateway.app import refuse_without_keys
-from services.gateway.settings import GatewaySettings
-from services.storage.settings import StorageSettings
-from services.strict_settings import SettingsError
+import capture2vr
+from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.gateway.access.api_key import new_secret
+from capture2vr.gateway.app import refuse_without_keys
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.storage.settings import StorageSettings
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.repository import ROOT
 
@@ -273,7 +273,7 @@ def test_values_that_contradict_each_other_are_named(wrong: dict[str, Any], said
 def test_the_chart_is_of_the_products_version() -> None:
     chart = yaml.safe_load((CHART / "Chart.yaml").read_text())
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert chart["version"] == chart["appVersion"] == services.__version__ == project["version"]
+    assert chart["version"] == chart["appVersion"] == capture2vr.__version__ == project["version"]
 
 
 def test_the_schema_knows_every_value() -> None:

@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 import yaml
 
-from services.cli.deploy_work import Address, initialise
-from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
-from services.gateway.settings import GatewaySettings, worker_credentials
-from services.grpc_security import NO_CREDENTIALS
-from services.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys
-from services.strict_settings import StrictSettings
+from capture2vr.cli.deployment.deploy_work import Address, initialise
+from capture2vr.edge.worker.settings import EdgeSettings, central_credentials, server_security
+from capture2vr.gateway.settings import GatewaySettings, worker_credentials
+from capture2vr.process.grpc_security import NO_CREDENTIALS
+from capture2vr.process.strict_settings import StrictSettings
+from capture2vr.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys
 from tests.conftest import missing
 from tests.support.repository import ROOT
 

@@ -12,10 +12,10 @@ import yaml
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.worker.metrics import WorkerMetrics
-from services.gateway.jobs.job import State
-from services.gateway.metrics import Metrics
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.worker.metrics import WorkerMetrics
+from capture2vr.gateway.jobs.job import State
+from capture2vr.gateway.metrics import Metrics
 from tests.support.repository import ROOT
 
 OBSERVE = ROOT / "deploy" / "observe"

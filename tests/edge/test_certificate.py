@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats
-from services.edge.certificate import (
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.certificate import (
     HELD_OUT,
     Certificate,
     Evidence,
@@ -18,8 +18,8 @@ from services.edge.certificate import (
     distance_to_mesh,
     hold_out,
 )
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.photo_comparison import PhotoFigures
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.photo_comparison import PhotoFigures
 from tests.support.surfaces import disk, hemisphere, moved, patch, sampled
 
 

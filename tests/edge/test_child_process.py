@@ -9,9 +9,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from services.edge.arrays import no_tick
-from services.edge.child_process import ChildError, run_child
-from services.edge.errors import Cancelled
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.child_process import ChildError, run_child
+from capture2vr.edge.errors import Cancelled
 from tests.support.patience import CANCEL_S
 
 STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(600)"

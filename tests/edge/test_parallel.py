@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.errors import Cancelled
-from services.edge.parallel import in_threads, one_ahead, shared_ticks
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.parallel import in_threads, one_ahead, shared_ticks
 
 
 @given(st.lists(st.lists(st.floats(0, 1), max_size=5), min_size=1, max_size=4))

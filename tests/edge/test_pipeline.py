@@ -11,19 +11,19 @@ import pytest
 import trimesh
 from PIL import Image
 
-from services.asset_names import AssetNames
-from services.edge.arrays import Tick
-from services.edge.asset.target import Target, target_of
-from services.edge.capture.nouns import Capture, Cloud, Frame, Intrinsics
-from services.edge.capture_to_points import STARTS
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.export.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
-from services.edge.pipeline import PREVIEW_STARTS, reconstruct
-from services.edge.preset import Preset, load_preset
-from services.edge.progress import Progress
-from services.edge.splats.spz import from_spz
-from services.edge.splats.surface_splats import Splats
-from services.storage.bundle import Bundle
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.asset.target import Target, target_of
+from capture2vr.edge.capture.nouns import Capture, Cloud, Frame, Intrinsics
+from capture2vr.edge.capture_to_points import STARTS
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.export.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
+from capture2vr.edge.pipeline import PREVIEW_STARTS, reconstruct
+from capture2vr.edge.preset import Preset, load_preset
+from capture2vr.edge.progress import Progress
+from capture2vr.edge.splats.spz import from_spz
+from capture2vr.edge.splats.surface_splats import Splats
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.bundle import Bundle
 from tests.referees.glb_reader import Glb
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
 
@@ -281,7 +281,7 @@ def test_splats_for_which_a_gpu_is_too_full_are_trained_on_the_cpu(monkeypatch: 
             raise EdgeError("GPU_OOM", "the GPU is full")
         return splats
 
-    monkeypatch.setattr("services.edge.splat_training.train_splats.train_splats", fails_on_a_gpu)
+    monkeypatch.setattr("capture2vr.edge.splat_training.train_splats.train_splats", fails_on_a_gpu)
     *_, bundle = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96, splat_steps=3), device="cuda:0")
     assert isinstance(bundle, Bundle)
     assert tried == ["cuda:0", "cpu"]

@@ -14,20 +14,20 @@ import numpy as np
 import pytest
 import trimesh
 
-from services.edge import pipeline
-from services.edge.asset import assemble
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.certificate import Certificate, QualityVerdict
-from services.edge.errors import EdgeError
-from services.edge.field.config import AnchorConfig
-from services.edge.field.step import Step
-from services.edge.paper_field import network_fit as fit_module
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.pipeline import PreviewKept, reconstruct
-from services.edge.preset import Preset, load_preset
-from services.edge.progress import Progress
-from services.edge.training import FieldTraining
-from services.storage.bundle import Bundle
+from capture2vr.edge import pipeline
+from capture2vr.edge.asset import assemble
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.certificate import Certificate, QualityVerdict
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.field.step import Step
+from capture2vr.edge.paper_field import network_fit as fit_module
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.pipeline import PreviewKept, reconstruct
+from capture2vr.edge.preset import Preset, load_preset
+from capture2vr.edge.progress import Progress
+from capture2vr.edge.training import FieldTraining
+from capture2vr.storage.bundle import Bundle
 from tests.support.patience import CANCEL_S
 
 pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from services.edge import preset as presets
-from services.edge.errors import EdgeError
-from services.edge.paper_field.network_config import Densify, NetworkConfig
-from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
+from capture2vr.edge import preset as presets
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
+from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
 
 LITERATURE = ("cap-udf", "levelset-udf", "paper", "paper-no-self", "paper-scene", "paper-variant")
 LOSSES = ("chamfer", "projection", "surface", "orthogonality", "self_consistency")

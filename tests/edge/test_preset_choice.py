@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.points.nouns import Points
-from services.edge.preset_choice import CROWD, FEWEST, NOISY, TILES_POINTS, Traits, choose, traits_of
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.preset_choice import CROWD, FEWEST, NOISY, TILES_POINTS, Traits, choose, traits_of
 from tests.support.surfaces import patch, sampled
 
 GARMENT = Traits(points=20_000, spacing=0.01, noise=0.0, extent_m=0.0, gpu=False)

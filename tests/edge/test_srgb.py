@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.srgb import to_linear, to_srgb
 
 CODES = np.arange(256, dtype=np.uint8)
 LIGHT = to_linear(CODES)

@@ -10,10 +10,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.gateway.instance_lock import FolderInUse, lock_instance, lock_replica
-from services.gateway.routes.pages import WEB
-from services.gateway.settings import GatewaySettings
-from services.strict_settings import SettingsError
+from capture2vr.gateway.database.instance_lock import FolderInUse, lock_instance, lock_replica
+from capture2vr.gateway.routes.pages import WEB
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.process.strict_settings import SettingsError
 from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
 from tests.support.patience import PATIENCE_S
 
@@ -169,14 +169,14 @@ def test_settings_name_their_faults(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_gateway_holds_no_geometry() -> None:
     heavy = "{'torch', 'numpy', 'scipy', 'trimesh', 'cv2', 'av'}"
-    probe = f"import sys, services.gateway.app; print(sorted({heavy} & sys.modules.keys()))"
+    probe = f"import sys, capture2vr.gateway.app; print(sorted({heavy} & sys.modules.keys()))"
     found = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
 
 
 @pytest.mark.slow
 def test_a_gateway_starts_and_stops_when_told(tmp_path: Path, unused_tcp_port: int) -> None:
-    command = [sys.executable, "-m", "services.gateway"]
+    command = [sys.executable, "-m", "capture2vr.gateway"]
     settings = {"GATEWAY_PORT": str(unused_tcp_port), "GATEWAY_DATA_DIR": str(tmp_path / "gw")}
     environment = {**os.environ, **settings, "STORAGE_ROOT": str(tmp_path / "objects")}
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as running:

@@ -12,10 +12,10 @@ from typing import Any
 import httpx
 import pytest
 
-from services.gateway import connections, middleware
-from services.gateway.app import create_app
-from services.gateway.settings import GatewaySettings
-from services.storage.local import LocalStore
+from capture2vr.gateway import connections, middleware
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.local import LocalStore
 from tests.support.in_process_gateway import listening
 from tests.support.patience import PATIENCE_S
 

@@ -12,14 +12,14 @@ import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
-import services.gateway.app  # noqa: F401 - with it come all tables
-from services.gateway.access.store import AccessStore
-from services.gateway.database import SchemaNewer, metadata, open_engine, pipelined
-from services.gateway.jobs.job import Order
-from services.gateway.jobs.store import JobStore
-from services.gateway.jobs.tables import queue_turns
-from services.gateway.settings import GatewaySettings
-from services.strict_settings import SettingsError
+import capture2vr.gateway.app  # noqa: F401 - with it come all tables
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.database.database import SchemaNewer, metadata, open_engine, pipelined
+from capture2vr.gateway.jobs.job import Order
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.jobs.tables import queue_turns
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.process.strict_settings import SettingsError
 
 _ORDER = Order("cap_1", "draft", "dress", "Dress")
 _JOB = "job_" + "0" * 32

@@ -13,18 +13,18 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-import services.gateway.app  # noqa: F401 - with it come all tables
-from services.gateway.access.caller import ALL_SCOPES
-from services.gateway.access.store import AccessStore
-from services.gateway.database import create_engine, metadata, newest_schema, open_engine, schema_of, upgrade
-from services.gateway.database_copy import DatabaseNotEmpty, check_importable, export_database, import_database
-from services.gateway.jobs.job import Order, State
-from services.gateway.jobs.reports import RunFinished, VersionPublished
-from services.gateway.jobs.state_machine import Retry, apply_reports, lease_to_worker, request_cancel
-from services.gateway.jobs.store import JobStore
-from services.gateway.resumable.store import Chunk, UploadStore
-from services.gateway.webhooks.outbox import Outbox
-from services.gateway.webhooks.store import WebhookStore
+import capture2vr.gateway.app  # noqa: F401 - with it come all tables
+from capture2vr.gateway.access.caller import ALL_SCOPES
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.backup.database_copy import DatabaseNotEmpty, check_importable, export_database, import_database
+from capture2vr.gateway.database.database import create_engine, metadata, newest_schema, open_engine, schema_of, upgrade
+from capture2vr.gateway.jobs.job import Order, State
+from capture2vr.gateway.jobs.reports import RunFinished, VersionPublished
+from capture2vr.gateway.jobs.state_machine import Retry, apply_reports, lease_to_worker, request_cancel
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.resumable.store import Chunk, UploadStore
+from capture2vr.gateway.webhooks.outbox import Outbox
+from capture2vr.gateway.webhooks.store import WebhookStore
 
 RETRY = Retry(3, 0.0)
 
@@ -260,7 +260,7 @@ def test_a_cut_import_leaves_the_database_empty_and_can_be_repeated(url: str, ta
 
 def test_an_export_is_of_one_moment(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Jobs that are created between its queries are in none of its tables."""
-    from services.gateway import database_copy
+    from capture2vr.gateway.backup import database_copy
 
     with opened(url) as engine:
         jobs, write = JobStore(engine), database_copy._write_table

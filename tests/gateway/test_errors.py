@@ -12,10 +12,10 @@ from fastapi import FastAPI
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gateway.app import create_app
-from services.gateway.errors import Problem
-from services.gateway.settings import GatewaySettings
-from services.storage.memory import MemoryStore
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.memory import MemoryStore
 from tests.support.in_process_gateway import capture, gateway, listening, memory
 
 JSON = {"Content-Type": "application/json"}

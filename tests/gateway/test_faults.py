@@ -11,8 +11,8 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 
-from services.gateway import database
-from services.gateway.routes import health
+from capture2vr.gateway.database import database
+from capture2vr.gateway.routes import health
 from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
 
 

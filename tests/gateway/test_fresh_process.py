@@ -16,7 +16,7 @@ import pillow_heif
 import pytest
 from PIL import Image, ImageDraw
 
-from services.cli.up import free_port
+from capture2vr.cli.up import free_port
 from tests.support import private_pictures
 from tests.support.fresh_process import BARE_ENVIRONMENT, run_fresh
 from tests.support.walkaround import render_walkaround
@@ -39,7 +39,7 @@ ENCODERS: dict[str, tuple[str, dict[str, Any]]] = {
 STRIP = """
 import os, sys, traceback
 from pathlib import Path
-from services.gateway.uploads.validate import validate
+from capture2vr.gateway.uploads.validate import validate
 
 for folder in sorted(Path(sys.argv[1]).iterdir()):
     if os.fork() == 0:
@@ -138,7 +138,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, bytes]]:
 def client(tmp_path: Path) -> Iterator[httpx.Client]:
     """A client of a product that has just been started, with nothing in its environment."""
     port = free_port()
-    command = [sys.executable, "-m", "services.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
+    command = [sys.executable, "-m", "capture2vr.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
     with subprocess.Popen(command, env=BARE_ENVIRONMENT, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as product:
         assert product.stderr is not None
         assert any("capture page" in line for line in product.stderr)

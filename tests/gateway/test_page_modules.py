@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from services.gateway.page_modules import name_modules, static_imports
-from services.gateway.routes.pages import WEB
+from capture2vr.gateway.page_modules import name_modules, static_imports
+from capture2vr.gateway.routes.pages import WEB
 
 _LINK = re.compile(r'<link rel="modulepreload" fetchpriority="low" href="/web/([^"]+)">')
 _SOURCE = re.compile(r"""^\s*(?:import|export)\b.*\bfrom '(\.[^']+)';""", re.MULTILINE)

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.download_formats import FORMATS
-from services.gateway.page_texts import LANGUAGES, german_texts, one_line, preferred_language, translate_page
-from services.gateway.routes.pages import WEB
+from capture2vr.gateway.page_texts import LANGUAGES, german_texts, one_line, preferred_language, translate_page
+from capture2vr.gateway.routes.pages import WEB
+from capture2vr.order.download_formats import FORMATS
 from tests.support.in_process_gateway import gateway, memory
 
 PAGES = sorted(path for path in WEB.glob("*/*.html") if path.parent.name != "admin")

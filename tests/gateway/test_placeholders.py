@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from services.storage.settings import PLACEHOLDER_SECRET
+from capture2vr.storage.settings import PLACEHOLDER_SECRET
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
 
@@ -24,7 +24,7 @@ def start(folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
         "STORAGE_ACCESS_KEY": "capture2vr",
         "STORAGE_SECRET_KEY": PLACEHOLDER_SECRET,
     }
-    command = [sys.executable, "-m", "services.gateway"]
+    command = [sys.executable, "-m", "capture2vr.gateway"]
     environment = {**os.environ, **given, **variables}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=HANG_S)
 

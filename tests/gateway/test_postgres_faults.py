@@ -15,7 +15,7 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
-from services.gateway.database import WrongEncoding, open_engine
+from capture2vr.gateway.database.database import WrongEncoding, open_engine
 from tests.referees.postgres import PostgresServer, running_server
 from tests.support.in_process_gateway import (
     Making,
@@ -77,7 +77,7 @@ def test_an_encoding_that_cannot_store_all_text_is_refused_and_named(ascii_datab
         open_engine(ascii_database)
     variables = {"GATEWAY_DATABASE_URL": ascii_database, "GATEWAY_DATA_DIR": str(tmp_path), "GATEWAY_PORT": "0"}
     started = subprocess.run(
-        [sys.executable, "-m", "services.gateway"],
+        [sys.executable, "-m", "capture2vr.gateway"],
         env={**os.environ, **variables, "STORAGE_ROOT": str(tmp_path / "objects")},
         cwd=ROOT,
         capture_output=True,

@@ -13,20 +13,27 @@ from pathlib import Path
 
 import pytest
 
-from services.cli.database_work import check_database, restore_database, scrub_store
-from services.cli.errors import BadInput
-from services.gateway.access.caller import ALL_SCOPES
-from services.gateway.access.store import AccessStore
-from services.gateway.database import open_engine
-from services.gateway.instance_lock import lock_instance
-from services.gateway.jobs.job import Order, State
-from services.gateway.jobs.store import JobStore
-from services.gateway.restore import restore
-from services.gateway.snapshots import NAME_TIME, DatabaseDamaged, Snapshots, check_file, snapshots_in, take_snapshot
-from services.storage.catalogue.publish import publish
-from services.storage.memory import MemoryStore
-from services.storage.store import Head
-from services.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
+from capture2vr.cli.backups.database_work import check_database, restore_database, scrub_store
+from capture2vr.cli.errors import BadInput
+from capture2vr.gateway.access.caller import ALL_SCOPES
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.backup.restore import restore
+from capture2vr.gateway.backup.snapshots import (
+    NAME_TIME,
+    DatabaseDamaged,
+    Snapshots,
+    check_file,
+    snapshots_in,
+    take_snapshot,
+)
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.database.instance_lock import lock_instance
+from capture2vr.gateway.jobs.job import Order, State
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Head
+from capture2vr.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
 from tests.support.bundles import bundle
 
 

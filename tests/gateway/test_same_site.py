@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from starlette.datastructures import Headers
 
-from services.gateway.app import create_app
-from services.gateway.errors import Problem
-from services.gateway.same_site import SiteRules
-from services.gateway.settings import GatewaySettings
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.memory import MemoryStore
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.same_site import SiteRules
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.memory import MemoryStore
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import gateway, memory
 

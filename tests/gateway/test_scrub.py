@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from services.cli.database_work import scrub_store
-from services.gateway import scrub
-from services.gateway.scrub import Scrub
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.cli.backups.database_work import scrub_store
+from capture2vr.gateway.backup import scrub
+from capture2vr.gateway.backup.scrub import Scrub
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import gateway
 

@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-from services.gateway.page_texts import german_server_texts
+from capture2vr.gateway.page_texts import german_server_texts
 from tests.support.repository import ROOT
 
 SERVICES = ROOT / "services"

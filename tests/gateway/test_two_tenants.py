@@ -19,11 +19,11 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from services.gateway.jobs.capture_objects import receipt_name
-from services.gateway.routes.captures import CaptureView
-from services.storage.local import LocalStore
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.jobs.capture_objects import receipt_name
+from capture2vr.gateway.routes.captures import CaptureView
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.in_process_gateway import capture, memory
 from tests.support.tenants import TwoTenants, publish_for, two_tenants
 

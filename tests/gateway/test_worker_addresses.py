@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gateway.settings import GatewaySettings
-from services.gateway.worker_addresses import WorkerAddresses, target_and_name
-from services.strict_settings import SettingsError
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.gateway.workers.worker_addresses import WorkerAddresses, target_and_name
+from capture2vr.process.strict_settings import SettingsError
 
 EDGE = "dns:///edge:50051"
 

@@ -16,14 +16,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.api import edge_pb2_grpc
-from services.edits import Edits
-from services.gateway.errors import Problem
-from services.gateway.jobs.job import Job, Lease, Order
-from services.gateway.jobs.reports import AnchorsFound, Report, RunFinished, RunHeartbeat, VersionPublished
-from services.gateway.worker_client import WorkerPool, _header, _report
-from services.gateway.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerUnreachable
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.api import edge_pb2_grpc
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.job import Job, Lease, Order
+from capture2vr.gateway.jobs.reports import AnchorsFound, Report, RunFinished, RunHeartbeat, VersionPublished
+from capture2vr.gateway.workers.worker_client import WorkerPool, _header, _report
+from capture2vr.gateway.workers.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerUnreachable
+from capture2vr.order.edits import Edits
 from tests.support.in_process_gateway import Making, memory, worker
 from tests.support.patience import CANCEL_S
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from pydantic import SecretStr
 
-from services.edge.worker.settings import EdgeSettings
-from services.gateway.app import serve
-from services.gateway.settings import GatewaySettings, worker_credentials
-from services.gateway.worker_client import WorkerPool
-from services.grpc_security import ClientCredentials
-from services.strict_settings import SettingsError
+from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.gateway.app import serve
+from capture2vr.gateway.settings import GatewaySettings, worker_credentials
+from capture2vr.gateway.workers.worker_client import WorkerPool
+from capture2vr.process.grpc_security import ClientCredentials
+from capture2vr.process.strict_settings import SettingsError
 from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
 from tests.support.tls_certificates import TOKEN, Authority
 
@@ -53,7 +53,7 @@ async def test_a_worker_that_does_not_know_us_is_told_of_once(
                 for _ in range(3):
                     assert await pool.poll() == ()
             await pool.close()
-            (record,) = [each for each in caplog.records if each.name == "services.gateway.worker_client"]
+            (record,) = [each for each in caplog.records if each.name == "capture2vr.gateway.workers.worker_client"]
             assert word in record.getMessage()
             assert TOKEN not in record.getMessage()
 
@@ -70,7 +70,7 @@ def test_wrong_settings_are_named_and_nothing_starts(
     tmp_path: Path, way: dict[str, object], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The logs of this process, which other tests read.
-    monkeypatch.setattr("services.gateway.app.configure", lambda level: None)
+    monkeypatch.setattr("capture2vr.gateway.app.configure", lambda level: None)
     settings = GatewaySettings(data_dir=tmp_path / "gw", port=0, **way)
     with pytest.raises(SettingsError, match=said):
         worker_credentials(settings)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from services.cli.up import free_port
+from capture2vr.cli.up import free_port
 
 _START_S = 30.0  # 1 s on an idle machine
 

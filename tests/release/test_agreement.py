@@ -70,9 +70,9 @@ def test_the_previous_tag_is_the_highest_version_before_this_commit(tmp_path: Pa
 
 
 def test_the_changelog_of_this_checkout_has_the_version_of_the_project() -> None:
-    import services
+    import capture2vr
 
-    assert newest_changes(ROOT).version == services.__version__
+    assert newest_changes(ROOT).version == capture2vr.__version__
 
 
 def _sbom(*absent: str, **versions: str) -> str:

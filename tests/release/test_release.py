@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from capture2vr.cli.up import free_port
 from release.project import project_version
-from services.cli.up import free_port
 from tests.conftest import missing
 from tests.support.patience import HANG_S
 from tests.support.release_project import commit_all, git, make_key
@@ -150,7 +150,7 @@ def test_the_source_distribution_has_what_git_tracks(released: Path, checkout: P
 
 def test_the_wheel_starts_and_brings_the_licences_of_what_is_inside(released: Path) -> None:
     wheel = released / f"capture2vr-{VERSION}-py3-none-any.whl"
-    command = [sys.executable, "-c", "from services.cli.main import main; main()", "version"]
+    command = [sys.executable, "-c", "from capture2vr.cli.main import main; main()", "version"]
     environment = {**os.environ, "PYTHONPATH": str(wheel)}
     ended = subprocess.run(command, cwd=released, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert ended.stdout == f"{VERSION}\n", ended.stderr

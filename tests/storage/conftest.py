@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.s3 import S3Store
-from services.storage.store import Store, list_all
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.s3 import S3Store
+from capture2vr.storage.store import Store, list_all
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.referees.s3.server import S3Server
 
 

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.storage.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
+from capture2vr.process.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
 
 JPEG = b"\xff\xd8\xff\xe0" + bytes(range(256)) * 8
 

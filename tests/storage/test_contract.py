@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from services.storage.store import IMMUTABLE, NO_CACHE, ConditionFailed, Store, list_all
+from capture2vr.storage.store import IMMUTABLE, NO_CACHE, ConditionFailed, Store, list_all
 
 TEXT = "text/plain"
 

@@ -17,9 +17,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.storage.bundle import sha256_hex
-from services.storage.local import LocalStore
-from services.storage.store import NO_CACHE
+from capture2vr.storage.bundle import sha256_hex
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import NO_CACHE
 
 TEXT = "text/plain"
 
@@ -146,7 +146,7 @@ def test_a_failed_put_leaves_nothing(store: LocalStore, tmp_path: Path, link: bo
 WRITER = """
 import sys
 from pathlib import Path
-from services.storage.local import LocalStore
+from capture2vr.storage.local import LocalStore
 store = LocalStore(Path(sys.argv[1]))
 number = 0
 while True:

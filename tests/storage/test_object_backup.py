@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from services.storage.bundle import sha256_of
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove
-from services.storage.catalogue.verify import fetch_from, verify
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.object_backup import (
+from capture2vr.storage.bundle import sha256_of
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.verify import fetch_from, verify
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.object_backup import (
     StoredObject,
     compare,
     content_path,
@@ -21,8 +21,8 @@ from services.storage.object_backup import (
     restore_objects,
     unexpected_objects,
 )
-from services.storage.store import NO_CACHE, Head, Store, list_all
-from services.storage.tenant_store import PrefixStore
+from capture2vr.storage.store import NO_CACHE, Head, Store, list_all
+from capture2vr.storage.tenant_store import PrefixStore
 from tests.support.bundles import bundle
 
 

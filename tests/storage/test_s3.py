@@ -12,10 +12,10 @@ import httpx
 import pytest
 from botocore.stub import Stubber
 
-from services.storage.bucket import main, read_policy
-from services.storage.s3 import S3Store
-from services.storage.settings import StorageSettings, open_store
-from services.storage.store import Store
+from capture2vr.storage.bucket import main, read_policy
+from capture2vr.storage.s3 import S3Store
+from capture2vr.storage.settings import StorageSettings, open_store
+from capture2vr.storage.store import Store
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import s3_store
 from tests.support.lines import line_to
@@ -124,7 +124,7 @@ def test_a_store_that_starts_later_is_waited_for(s3_server: S3Server, bucket: st
     settings = {"KIND": "s3", "ENDPOINT": line.url, "BUCKET": bucket}
     settings |= {"ACCESS_KEY": s3_server.access_key, "SECRET_KEY": s3_server.secret_key}
     environment = {**os.environ, **{f"STORAGE_{name}": value for name, value in settings.items()}}
-    command = [sys.executable, "-m", "services.storage.bucket"]
+    command = [sys.executable, "-m", "capture2vr.storage.bucket"]
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as program:
         assert program.stderr is not None
         assert "waiting for the store" in program.stderr.readline()
@@ -139,7 +139,7 @@ def test_wrong_credentials_are_told_at_once(s3_server: S3Server, bucket: str, mo
     settings = {"KIND": "s3", "ENDPOINT": s3_server.endpoint, "BUCKET": bucket}
     for name, value in (settings | {"ACCESS_KEY": "nobody", "SECRET_KEY": "wrong"}).items():
         monkeypatch.setenv(f"STORAGE_{name}", value)
-    monkeypatch.setattr("services.storage.bucket.time.sleep", pytest.fail)
+    monkeypatch.setattr("capture2vr.storage.bucket.time.sleep", pytest.fail)
     with pytest.raises(SystemExit, match="STORAGE_ACCESS_KEY"):
         main()
 

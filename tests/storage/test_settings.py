@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from services.storage.bucket import main
-from services.storage.catalogue.publish import KeyElsewhere
-from services.storage.catalogue.signing import generate_key
-from services.storage.local import LocalStore
-from services.storage.s3 import S3Store
-from services.storage.settings import StorageSettings, open_publish, open_store
-from services.strict_settings import SettingsError
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.storage.bucket import main
+from capture2vr.storage.catalogue.publish import KeyElsewhere
+from capture2vr.storage.catalogue.signing import generate_key
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.s3 import S3Store
+from capture2vr.storage.settings import StorageSettings, open_publish, open_store
 from tests.support.bundles import bundle, listed
 
 

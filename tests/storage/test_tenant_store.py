@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.storage.memory import MemoryStore
-from services.storage.store import list_all
-from services.storage.tenant_store import DEFAULT_TENANT, store_of_tenant, tenant_of, tenant_prefix, valid_tenant
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import list_all
+from capture2vr.storage.tenant_store import DEFAULT_TENANT, store_of_tenant, tenant_of, tenant_prefix, valid_tenant
 
 TENANTS = st.from_regex(r"[a-z0-9][a-z0-9-]{0,31}", fullmatch=True)
 SEGMENT = st.text(string.ascii_letters + string.digits + "._-", min_size=1, max_size=12).filter(lambda s: s[0] != ".")

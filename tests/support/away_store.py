@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from services.storage.memory import MemoryStore
+from capture2vr.storage.memory import MemoryStore
 
 
 class AwayStore(MemoryStore):

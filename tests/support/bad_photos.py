@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.nouns import Intrinsics
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.nouns import Intrinsics
 from tests.support.captures import FLIP
 from tests.support.scenes import look_at
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from services.storage.bundle import Bundle, State
-from services.storage.catalogue.collection import Row, index_name, load_shard, read_index
-from services.storage.catalogue.signing import PublicKey
-from services.storage.store import IMMUTABLE, Head, Store
+from capture2vr.storage.bundle import Bundle, State
+from capture2vr.storage.catalogue.collection import Row, index_name, load_shard, read_index
+from capture2vr.storage.catalogue.signing import PublicKey
+from capture2vr.storage.store import IMMUTABLE, Head, Store
 
 
 def bundle(state: State = "preview", content: str = "a", **manifest: object) -> Bundle:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from services.edge.arrays import Bytes
+from capture2vr.edge.arrays import Bytes
 
 WIDTH, HEIGHT = 480, 360
 FPS = 10

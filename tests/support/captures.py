@@ -19,7 +19,7 @@ import lzfse
 import numpy as np
 import trimesh
 
-from services.edge.capture.nouns import Frame
+from capture2vr.edge.capture.nouns import Frame
 
 CENTRE = np.array([0.4, -0.3, 1.2])  # metres, off the origin so that a mirrored world shows
 RADIUS_M = 0.25

@@ -21,19 +21,19 @@ from typing import Any
 import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh
-from services.storage.bundle import Bundle
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove
-from services.storage.catalogue.signing import Keys, Signer, public_key
-from services.storage.local import LocalStore
-from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER, Listing
-from services.storage.unity.locations import parse_assets
-from services.storage.unity.nouns import Asset, Catalogue, LodFile
-from services.storage.unity.publication import catalogue_files, catalogue_names
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.signing import Keys, Signer, public_key
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.unity.json_reader import read_json_catalogue
+from capture2vr.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER, Listing
+from capture2vr.storage.unity.locations import parse_assets
+from capture2vr.storage.unity.nouns import Asset, Catalogue, LodFile
+from capture2vr.storage.unity.publication import catalogue_files, catalogue_names
 
 
 def build(root: Path) -> dict[str, Any]:

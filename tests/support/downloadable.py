@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.convert.convert_bundle import BundleFolder
-from services.edge.export.glb import Packing, to_glb
-from services.edge.export.ply import ply_bytes
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.storage.bundle import Bundle
+from capture2vr.edge.convert.convert_bundle import BundleFolder
+from capture2vr.edge.export.glb import Packing, to_glb
+from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.storage.bundle import Bundle
 from tests.support import surfaces
 from tests.support.painted import quarters
 

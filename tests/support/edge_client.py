@@ -11,17 +11,17 @@ from pathlib import Path
 
 import grpc
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.api import edge_pb2_grpc
-from services.edge.arrays import Tick
-from services.edge.errors import EdgeError
-from services.edge.worker.capabilities import Capabilities
-from services.edge.worker.job_request import ReconstructionRequest
-from services.edge.worker.job_run import Report, Work
-from services.edge.worker.scratch import Scratch
-from services.edge.worker.server import EdgeServer
-from services.edge.worker.settings import EdgeSettings
-from services.photo_box import PhotoBox
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.api import edge_pb2_grpc
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.job_request import ReconstructionRequest
+from capture2vr.edge.worker.job_run import Report, Work
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.edge.worker.server import EdgeServer
+from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.order.photo_box import PhotoBox
 from tests.support.patience import PATIENCE_S
 
 TICK_S = 0.02

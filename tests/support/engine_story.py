@@ -19,17 +19,18 @@ from typing import Any
 import numpy as np
 import psutil
 
-from services.edge.arrays import no_tick
-from services.edge.engine.address import LOCAL, open_engine
-from services.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.tiles.mesh_tile import mesh_tile
-from services.edge.tiles.parts import PART_NEEDS
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.engine.address import LOCAL, open_engine
+from capture2vr.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.tiles.mesh_tile import mesh_tile
+from capture2vr.edge.tiles.parts import PART_NEEDS
 from tests.edge.tiles.hall import GRID, hall
 from tests.support import engine_tasks
 from tests.support.clouds import write_ply
 from tests.support.patience import HANG_S
 from tests.support.ray_cluster import ADDRESS, RayCluster, running
+from tests.support.strangers import that_ran
 
 _MEMORY = 1 << 30
 _ONE = Needs(cpus=1, memory_bytes=_MEMORY // 4)
@@ -102,13 +103,15 @@ def cancel(engine: Engine, folder: Path) -> dict[str, Any]:
     }
 
 
-def run_captures(folder: Path) -> dict[str, Any]:
-    """What `capture2vr run` of two captures says, in a process of its own, and what it has written."""
+def run_captures(folder: Path, strangers: Path) -> dict[str, Any]:
+    """What `capture2vr run` of two captures says, started among a stranger's modules, and what it has written."""
     folder.mkdir()
     xyz = np.random.default_rng(2).normal(size=(500, 3)) * [0.02, 0.0, 0.1]
     captures = [str(write_ply(folder / f"{name}.ply", xyz)) for name in ("leaf", "twig")]
-    command = [sys.executable, "-m", "services.cli", "run", *captures, "-o", str(folder / "out"), "--preset", "draft"]
-    done = subprocess.run(command, env={**os.environ, "EDGE_ENGINE": ADDRESS}, capture_output=True, text=True)
+    program = Path(sys.executable).with_name("capture2vr")
+    command = [program, "run", *captures, "-o", folder / "out", "--preset", "draft"]
+    environment = {**os.environ, "EDGE_ENGINE": ADDRESS}
+    done = subprocess.run(command, cwd=strangers, env=environment, capture_output=True, text=True)
     reports = (folder / "out").glob("*/report.json")
     return {
         "status": done.returncode,
@@ -121,7 +124,7 @@ def run_scene(folder: Path) -> dict[str, Any]:
     """What `capture2vr run` makes of a scene of two tiles, in a process of its own."""
     folder.mkdir()
     scene = write_ply(folder / "hall.ply", hall())
-    command = [sys.executable, "-m", "services.cli", "run", str(scene), "-o", str(folder / "out")]
+    command = [sys.executable, "-m", "capture2vr.cli", "run", str(scene), "-o", str(folder / "out")]
     flags = ["--preset", "scene-tiles", "--resolution", "500"]
     done = subprocess.run(
         [*command, *flags], env={**os.environ, "EDGE_ENGINE": ADDRESS}, capture_output=True, text=True
@@ -193,11 +196,12 @@ def on_a_cluster(folder: Path) -> dict[str, Any]:
             needs = Needs(cpus=0.5, gpus=0.5)
             gpu = engine.submit(needs, engine_tasks.environment, "CUDA_VISIBLE_DEVICES")
             said["gpu"] = gpu.result(HANG_S)
-            said["captures"] = run_captures(folder / "captures")
+            said["captures"] = run_captures(folder / "captures", cluster.strangers)
             said["scene"] = run_scene(folder / "scene")
             said["tiles are the same"] = mesh_tiles(engine)
             said["lost node"] = lose_a_node(engine, cluster, folder / "node")
             said["lost head"] = lose_the_head(engine, cluster, folder / "head")
+        said["strangers"] = that_ran(cluster.strangers)
     said["no head"] = nobody_there()
     return said
 

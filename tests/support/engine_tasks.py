@@ -9,9 +9,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-import services
-from services.edge.arrays import Tick
-from services.edge.errors import CaptureError
+import capture2vr
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.errors import CaptureError
 
 _MOST_S = 300.0  # of a task that waits for a file
 
@@ -83,7 +83,7 @@ def environment(tick: Tick, name: str) -> str:
 
 
 def version(tick: Tick) -> str:
-    return services.__version__
+    return capture2vr.__version__
 
 
 def _note(path: str) -> None:

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import trimesh
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.capture.nouns import Frame, Intrinsics
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.rays import Scene
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.capture.nouns import Frame, Intrinsics
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.rays import Scene
 from tests.support.flats import ROOM, WALL_M, Flat, Patch, flat, paint
 from tests.support.scenes import KINECT, Sensor, look_at, spoil_depth, spoil_pose
 

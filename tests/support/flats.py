@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.nouns import Cloud
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.nouns import Cloud
 
 ROOM = np.array([2.6, 2.4, 2.8])
 """Metres of a room: width, height, depth, with Y up."""

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh
-from services.storage.bundle import Bundle, State
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.storage.bundle import Bundle, State
 from tests.support.things import Colour, bundle_of
 
 _AROUND = 32

@@ -12,9 +12,9 @@ from typing import Any
 
 import httpx
 
-from services.cli.up import free_port
-from services.storage.local import LocalStore
-from services.storage.store import list_all
+from capture2vr.cli.up import free_port
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import list_all
 from tests.support.patience import PATIENCE_S
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
 
@@ -29,7 +29,7 @@ class GatewayProcess:
         self.port = free_port()
         self.store = LocalStore(folder / "objects")
         self.process = ServiceProcess(
-            "services.gateway",
+            "capture2vr.gateway",
             folder / "gateway.log",
             GATEWAY_PORT=self.port,
             GATEWAY_DATA_DIR=folder / "data",

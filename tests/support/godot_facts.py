@@ -14,9 +14,9 @@ import meshopt
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.convert.read_glb import read_glb
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.convert.read_glb import read_glb
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from tests.support.client_world import build
 from tests.support.downloadable import SHEET, coloured, textured
 

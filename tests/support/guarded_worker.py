@@ -10,12 +10,12 @@ import os
 import sys
 from pathlib import Path
 
-from services.edge.worker.control_group import ControlGroup
-from services.edge.worker.guard import run_guarded
-from services.edge.worker.job_run import Work
-from services.edge.worker.server import serve
-from services.edge.worker.settings import EdgeSettings
-from services.storage.local import LocalStore
+from capture2vr.edge.worker.control_group import ControlGroup
+from capture2vr.edge.worker.guard import run_guarded
+from capture2vr.edge.worker.job_run import Work
+from capture2vr.edge.worker.server import serve
+from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.storage.local import LocalStore
 from tests.support.edge_client import Scripted
 from tests.support.scripted_work import Making
 

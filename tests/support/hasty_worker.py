@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from services.cli.main import main
-from services.edge.field import checkpoint
+from capture2vr.cli.main import main
+from capture2vr.edge.field import checkpoint
 from tests.support.small_pictures import draw_small
 
 if __name__ == "__main__":

@@ -13,13 +13,13 @@ import httpx
 import uvicorn
 from fastapi import FastAPI
 
-from services.edge.worker.scratch import Scratch
-from services.edge.worker.server import EdgeServer
-from services.edge.worker.settings import EdgeSettings
-from services.gateway.app import create_app, server_config
-from services.gateway.settings import GatewaySettings
-from services.storage.memory import MemoryStore
-from services.storage.store import Store
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.edge.worker.server import EdgeServer
+from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.gateway.app import create_app, server_config
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store
 from tests.support.patience import PATIENCE_S
 from tests.support.scripted_work import Making
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import SurfaceSamples, area, sample
-from services.edge.mesh.topology import component_count
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import SurfaceSamples, area, sample
+from capture2vr.edge.mesh.topology import component_count
 
 SAMPLES = 100_000  # per mesh: the floor of a unit sphere is then .0028, well under what methods differ by
 BORDER_SAMPLES = 20_000  # per mesh: borders of length 5 are then sampled every .00025, a tenth of the usual floor

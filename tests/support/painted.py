@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from services.edge.arrays import Bytes
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.mesh.nouns import Mesh
 
 
 def painted(mesh: Mesh, *rgb: int) -> Mesh:

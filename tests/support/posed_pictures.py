@@ -9,10 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import Scene, pinhole
+from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.rays import Scene, pinhole
 from tests.support.scenes import look_at
 
 SIDE = 200  # pixels of a photo's width and height

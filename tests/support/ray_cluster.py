@@ -15,6 +15,7 @@ from pathlib import Path
 import psutil
 
 from tests.support.repository import ROOT
+from tests.support.strangers import strangers_folder
 
 ADDRESS = "ray://127.0.0.1:10001"
 
@@ -24,11 +25,16 @@ _SMALL = ("--object-store-memory", _STORE_BYTES, "--block", "--disable-usage-sta
 _HEAD = ("--head", "--node-ip-address=127.0.0.1", "--port=6379", "--ray-client-server-port=10001", "--num-cpus=0")
 
 
+# As the runbook has it: Ray, too, starts Python in its current folder.
+_SAFE = {"PYTHONSAFEPATH": "1", "PYTHONPATH": str(ROOT)}
+
+
 class RayCluster:
     """A head, and the nodes by their names."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self.strangers = strangers_folder(folder / "strangers")
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start_head(self) -> None:
@@ -61,8 +67,8 @@ class RayCluster:
         with self._log(name).open("wb") as log:
             self._running[name] = subprocess.Popen(
                 [sys.executable, "-c", code, "start", *flags, *_SMALL],
-                cwd=ROOT,
-                env={**os.environ, "HOME": str(self._folder), "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+                cwd=self.strangers,
+                env={**os.environ, "HOME": str(self._folder), **_SAFE, "OMP_NUM_THREADS": "1"},
                 stdout=log,
                 stderr=log,
             )

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.capture.nouns import Frame, Intrinsics
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.capture.nouns import Frame, Intrinsics
 
 PHONE = Intrinsics(fx=212.0, fy=212.0, cx=127.5, cy=95.5, width=256, height=192)
 """The depth camera of a phone with LiDAR."""

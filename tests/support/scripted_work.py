@@ -6,18 +6,18 @@ import json
 import threading
 from pathlib import Path
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.arrays import Tick
-from services.edge.errors import EdgeError
-from services.edge.worker.capabilities import Capabilities
-from services.edge.worker.job_request import ReconstructionRequest
-from services.edge.worker.job_run import Report
-from services.photo_box import PhotoBox
-from services.storage.bundle import Bundle
-from services.storage.catalogue.entry import DEFAULT_COLLECTION
-from services.storage.catalogue.publish import publish
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.job_request import ReconstructionRequest
+from capture2vr.edge.worker.job_run import Report
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 
 class Making:

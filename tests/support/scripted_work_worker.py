@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 
-from services.edge.worker.server import serve
-from services.edge.worker.settings import EdgeSettings
-from services.logs import configure
-from services.storage.settings import StorageSettings, open_store
+from capture2vr.edge.worker.server import serve
+from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.process.logs import configure
+from capture2vr.storage.settings import StorageSettings, open_store
 from tests.support.scripted_work import Making
 
 if __name__ == "__main__":

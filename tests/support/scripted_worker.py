@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import sys
 
-from services.edge.worker.server import serve
-from services.edge.worker.settings import EdgeSettings
+from capture2vr.edge.worker.server import serve
+from capture2vr.edge.worker.settings import EdgeSettings
 from tests.support.edge_client import Scripted
 
 if __name__ == "__main__":

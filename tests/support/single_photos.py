@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bytes
-from services.edge.capture.nouns import Photo
+from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.capture.nouns import Photo
 
 
 def photo(rgb: Bytes, *, turns: int = 0, name: str = "one.jpg") -> Photo:

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import uvicorn
 
-from services.gateway.app import create_app
-from services.gateway.settings import GatewaySettings
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.local import LocalStore
-from services.storage.store import Store
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import Store
 
 
 @dataclass(frozen=True, slots=True)

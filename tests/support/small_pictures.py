@@ -12,8 +12,8 @@ TEXTURE_SIDE = 256
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:
     """Small pictures of the assets that this process makes: at full size they take 90 % of a small job's seconds."""
-    appearance = importlib.import_module("services.edge.asset.levels")  # here: most tests need none of the worker
-    thumbnail = importlib.import_module("services.edge.render.thumbnail")
+    appearance = importlib.import_module("capture2vr.edge.asset.levels")  # here: most tests need none of the worker
+    thumbnail = importlib.import_module("capture2vr.edge.render.thumbnail")
     textures = appearance.texture_levels
     patch.setattr(
         appearance,

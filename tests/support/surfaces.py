@@ -13,9 +13,9 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import sample
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import sample
 
 
 def sampled(

@@ -10,12 +10,12 @@ from typing import Any
 
 import httpx
 
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.gateway.access.store import AccessStore
-from services.gateway.database import open_engine
-from services.storage.catalogue.publish import publish
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import gateway
 

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats
-from services.edge.certificate import consistency
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area, sample
-from services.edge.mesh.topology import component_count
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.certificate import consistency
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area, sample
+from capture2vr.edge.mesh.topology import component_count
 from tests.support import surfaces
 from tests.support.mesh_metrics import boundary_error, compare, sample_border, welded
 

@@ -11,9 +11,9 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh
-from services.storage.bundle import Bundle, Json, State
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.storage.bundle import Bundle, Json, State
 
 RED, GREEN, BLUE = (220, 30, 30), (30, 180, 40), (40, 60, 230)
 Colour = tuple[int, int, int]

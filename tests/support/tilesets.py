@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.export.glb import to_glb
-from services.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.storage.bundle import Bundle, sha256_hex
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.storage.bundle import Bundle, sha256_hex
 
 CELLS = 16  # along a tile's side, whatever its level
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from services import traces
+from capture2vr.process import traces
 
 _FAILED = 2  # OpenTelemetry's status code ERROR
 

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from services.edge.arrays import Bools, Floats
-from services.edge.capture.nouns import Intrinsics
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.rays import pinhole
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.capture.nouns import Intrinsics
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.rays import pinhole
 from tests.support.scenes import look_at
 from tests.support.walkaround import Sheet, _camera, _developed, _exif, _mesh, _room, _shell, _Stage, _surroundings
 

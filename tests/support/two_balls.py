@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import Frame
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Frame
 from tests.support.captures import save_jpg, save_png, steps
 from tests.support.scenes import PHONE, Scene, film, orbit, plane, scene
 

@@ -5,8 +5,8 @@ Strings split into shared parts, which this program never writes, are refused.
 
 from __future__ import annotations
 
-from services.storage.unity.bounded import BoundedReader
-from services.storage.unity.listing import BundleOptions, Listing, Location, TypeName
+from capture2vr.storage.unity.bounded import BoundedReader
+from capture2vr.storage.unity.listing import BundleOptions, Listing, Location, TypeName
 
 _MAGIC = 0x0DE38942
 _NULL = 0xFFFFFFFF

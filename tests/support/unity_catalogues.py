@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 from hypothesis import strategies as st
 
-from services.storage.unity.binary_writer import binary_catalogue
-from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.json_writer import json_catalogue
-from services.storage.unity.listing import Listing
-from services.storage.unity.locations import build_listing
-from services.storage.unity.nouns import Asset, Catalogue, LodFile
+from capture2vr.storage.unity.binary_writer import binary_catalogue
+from capture2vr.storage.unity.json_reader import read_json_catalogue
+from capture2vr.storage.unity.json_writer import json_catalogue
+from capture2vr.storage.unity.listing import Listing
+from capture2vr.storage.unity.locations import build_listing
+from capture2vr.storage.unity.nouns import Asset, Catalogue, LodFile
 from tests.support.unity_binary_reader import read_binary_catalogue
 
 FORMS = (0, 1, 2, 3)

@@ -18,11 +18,11 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.nouns import Frame, Intrinsics
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.rays import Scene, pinhole
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.nouns import Frame, Intrinsics
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.rays import Scene, pinhole
 from tests.support.scenes import look_at
 
 FOCAL_35MM = 28  # of the main camera of many phones; written into the EXIF as such

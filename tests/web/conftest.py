@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect, sync_playwright
 
-from services.asset_names import AssetNames
-from services.cli.up import Stack, run_stack
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.pipeline import reconstruct
-from services.edge.preset import load_preset
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.storage.bundle import Bundle
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.cli.up import Stack, run_stack
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import load_preset
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.conftest import missing
 from tests.support.chromium import chromium, launch
 from tests.support.npm_packages import installed

@@ -3,7 +3,7 @@
 import grpc
 import warnings
 
-from services.edge.api import edge_pb2 as capture2vr_dot_edge_dot_v1_dot_edge__pb2
+from capture2vr.edge.api import edge_pb2 as capture2vr_dot_edge_dot_v1_dot_edge__pb2
 
 GRPC_GENERATED_VERSION = '1.85.1'
 GRPC_VERSION = grpc.__version__

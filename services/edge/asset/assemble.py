@@ -6,20 +6,20 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from services.edge.arrays import Floats, Tick, part_of
-from services.edge.asset.capture_files import capture_files
-from services.edge.asset.cut_pictures import pictures_of_cut
-from services.edge.asset.levels import add_textures, build_levels, pack_glb, preview_images
-from services.edge.asset.manifest import AssetSubject, MeasuredSurface, asset_frame, build_manifest
-from services.edge.asset.photo_check import check_textures_with_photos, figures_with_textures, marked_pictures
-from services.edge.asset.splat_file import splat_file
-from services.edge.asset.target import measure_cost, require_budget
-from services.edge.export.ktx2 import EncodeKtx2, Ktx2Error
-from services.edge.export.ply import ply_bytes
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.progress import Bar, Clock, Progress
-from services.edge.texture.nearest_colour import transfer_colours
-from services.storage.bundle import Bundle, State
+from capture2vr.edge.arrays import Floats, Tick, part_of
+from capture2vr.edge.asset.capture_files import capture_files
+from capture2vr.edge.asset.cut_pictures import pictures_of_cut
+from capture2vr.edge.asset.levels import add_textures, build_levels, pack_glb, preview_images
+from capture2vr.edge.asset.manifest import AssetSubject, MeasuredSurface, asset_frame, build_manifest
+from capture2vr.edge.asset.photo_check import check_textures_with_photos, figures_with_textures, marked_pictures
+from capture2vr.edge.asset.splat_file import splat_file
+from capture2vr.edge.asset.target import measure_cost, require_budget
+from capture2vr.edge.export.ktx2 import EncodeKtx2, Ktx2Error
+from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.edge.texture.nearest_colour import transfer_colours
+from capture2vr.storage.bundle import Bundle, State
 
 _LODS_SHARE = 0.3  # of the TEXTURING stage's time goes into levels of detail, where they get textures too
 _TEXTURES_END = 0.4  # of the same, where splats are trained after the textures

@@ -10,13 +10,13 @@ import json
 
 import numpy as np
 
-from services.download_formats import CAMERAS, POINTS
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import PictureCamera
-from services.edge.export.laz import laz_bytes
-from services.edge.export.z_up import Z_UP, z_up
-from services.edge.points.downsample import voxel_downsample_to
-from services.edge.points.nouns import Points
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import PictureCamera
+from capture2vr.edge.export.laz import laz_bytes
+from capture2vr.edge.export.z_up import Z_UP, z_up
+from capture2vr.edge.points.downsample import voxel_downsample_to
+from capture2vr.edge.points.nouns import Points
+from capture2vr.order.download_formats import CAMERAS, POINTS
 
 MOST_POINTS = 1_000_000
 """Most points of the file: with colours 5 MB, and written in a second."""

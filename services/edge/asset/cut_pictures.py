@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from services.edge.arrays import Floats
-from services.edge.points.nouns import Points
-from services.edge.render.point_picture import point_picture
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.render.point_picture import point_picture
 
 
 def pictures_of_cut(points: Points, to_asset: Floats) -> dict[str, bytes]:

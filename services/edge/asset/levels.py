@@ -6,22 +6,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
-from services.edge.arrays import Floats, Tick, part_of
-from services.edge.asset.manifest import AssetSubject
-from services.edge.asset.photo_check import posed_picture
-from services.edge.asset.target import Target
-from services.edge.export.glb import to_glb
-from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.export.usdz import to_phone_usdz
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.mesh.simplify import lods
-from services.edge.parallel import in_threads, shared_ticks
-from services.edge.render.contact_sheet import render_sheet
-from services.edge.render.thumbnail import thumbnail, turning_preview
-from services.edge.texture.bake_normals import FullShape, bake_normals
-from services.edge.texture.bake_photos import PhotoProjection
-from services.edge.texture.nearest_colour import ColouredPoints
-from services.edge.texture.texture_mesh import Palette, texture_levels
+from capture2vr.edge.arrays import Floats, Tick, part_of
+from capture2vr.edge.asset.manifest import AssetSubject
+from capture2vr.edge.asset.photo_check import posed_picture
+from capture2vr.edge.asset.target import Target
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.export.usdz import to_phone_usdz
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.mesh.simplify import lods
+from capture2vr.edge.parallel import in_threads, shared_ticks
+from capture2vr.edge.render.contact_sheet import render_sheet
+from capture2vr.edge.render.thumbnail import thumbnail, turning_preview
+from capture2vr.edge.texture.bake_normals import FullShape, bake_normals
+from capture2vr.edge.texture.bake_photos import PhotoProjection
+from capture2vr.edge.texture.nearest_colour import ColouredPoints
+from capture2vr.edge.texture.texture_mesh import Palette, texture_levels
 
 _EXPOSURE_SHARE = 0.2  # of the time goes into matching the photos' exposures
 _NORMALS_BEGIN = 0.9  # of the time, after which normal maps are baked

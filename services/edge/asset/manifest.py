@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-import services
-from services.asset_names import AssetNames
-from services.edge.arrays import Bytes, Floats
-from services.edge.asset.photo_check import PhotoCheck
-from services.edge.asset.target import Cost, Target
-from services.edge.capture_to_points import CaptureSummary
-from services.edge.certificate import Certificate, Evidence
-from services.edge.mesh.fill_gaps import Fill, FilledMesh
-from services.edge.mesh.nouns import Mesh
-from services.edge.points.anchor_points import cluster_anchors
-from services.edge.points.nouns import Points, UnitFrame
-from services.edge.preset import Preset
+import capture2vr
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.asset.photo_check import PhotoCheck
+from capture2vr.edge.asset.target import Cost, Target
+from capture2vr.edge.capture_to_points import CaptureSummary
+from capture2vr.edge.certificate import Certificate, Evidence
+from capture2vr.edge.mesh.fill_gaps import Fill, FilledMesh
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.points.anchor_points import cluster_anchors
+from capture2vr.edge.points.nouns import Points, UnitFrame
+from capture2vr.edge.preset import Preset
+from capture2vr.order.asset_names import AssetNames
 
 _TOLD = 0.005  # share of filled surface from which on a person is told
 _DEFAULT_UP = np.array([0.0, 1.0, 0.0])  # as in modelling tools and glTF; scanners that differ say so in their format
@@ -160,7 +160,7 @@ def build_manifest(
     if points.up is None:
         all_warnings.append("The capture does not say which way is up: its Y axis was taken as up.")
     return {
-        "generator": f"capture2vr {services.__version__}",
+        "generator": f"capture2vr {capture2vr.__version__}",
         **subject.names.as_json,
         "preset": subject.preset.name,
         "preset_because": subject.because,

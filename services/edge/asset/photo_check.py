@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.mesh.clean import SPECK
-from services.edge.mesh.fill_gaps import Fill, FilledMesh, fill_gaps
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.mesh.pieces import Piece, SplitMesh, list_pieces
-from services.edge.mesh.topology import compact
-from services.edge.mesh.trim_rims import trim_rims
-from services.edge.points.nouns import Points, TextureView, UnitFrame
-from services.edge.render.free_space import ColouredSurface, ask_views
-from services.edge.render.photo_comparison import (
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.clean import SPECK
+from capture2vr.edge.mesh.fill_gaps import Fill, FilledMesh, fill_gaps
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.mesh.pieces import Piece, SplitMesh, list_pieces
+from capture2vr.edge.mesh.topology import compact
+from capture2vr.edge.mesh.trim_rims import trim_rims
+from capture2vr.edge.points.nouns import Points, TextureView, UnitFrame
+from capture2vr.edge.render.free_space import ColouredSurface, ask_views
+from capture2vr.edge.render.photo_comparison import (
     LikenessCheck,
     PhotoFigures,
     SurfaceCheck,
@@ -25,9 +25,9 @@ from services.edge.render.photo_comparison import (
     marked_jpeg,
     mean_figures,
 )
-from services.edge.render.piece_support import piece_support
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.silhouette import outside_outlines
+from capture2vr.edge.render.piece_support import piece_support
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.silhouette import outside_outlines
 
 _MOST_OUTLINES = 20
 """Photos that are asked for outlines, evenly chosen: each takes a tenth of a second."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from services.download_formats import SPLATS
-from services.edge.arrays import Floats, Tick
-from services.edge.asset.manifest import AssetSubject
-from services.edge.asset.photo_check import posed_picture
-from services.edge.errors import EdgeError
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.splats.spz import to_spz
-from services.edge.splats.surface_splats import cover_with_splats
+from capture2vr.edge.arrays import Floats, Tick
+from capture2vr.edge.asset.manifest import AssetSubject
+from capture2vr.edge.asset.photo_check import posed_picture
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.splats.spz import to_spz
+from capture2vr.edge.splats.surface_splats import cover_with_splats
+from capture2vr.order.download_formats import SPLATS
 
 _COUNT = 100_000  # a third of what a headset draws, which a CPU trains in minutes
 
@@ -25,7 +25,7 @@ def splat_file(
     if not subject.colours.texture_views:
         return {}, ("no splats were trained: the capture has no photos",)
     # Imported here: a worker that trains nothing must not load torch.
-    from services.edge.splat_training.train_splats import train_splats
+    from capture2vr.edge.splat_training.train_splats import train_splats
 
     pictures = [posed_picture(view, to_asset) for view in subject.colours.texture_views]
     mesh = finest.mesh if isinstance(finest, TexturedMesh) else finest

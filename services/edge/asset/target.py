@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import Any
 
-from services.edge.errors import EdgeError
-from services.edge.export.glb import KTX2, Packing
-from services.edge.export.ktx2 import Ktx2Header, ktx2_unavailable
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.export.glb import KTX2, Packing
+from capture2vr.edge.export.ktx2 import Ktx2Header, ktx2_unavailable
 
 _MIB = 1 << 20
 _UNLIT, _KTX2, _NORMALS = "-unlit", "-ktx2", "-normals"

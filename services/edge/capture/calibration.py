@@ -12,11 +12,11 @@ import re
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.capture import photos
-from services.edge.capture.files import Folder, data_lines, read_text, translate_errors
-from services.edge.capture.frame_records import matrix_pinhole, pinhole
-from services.edge.capture.nouns import Intrinsics
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture import photos
+from capture2vr.edge.capture.files import Folder, data_lines, read_text, translate_errors
+from capture2vr.edge.capture.frame_records import matrix_pinhole, pinhole
+from capture2vr.edge.capture.nouns import Intrinsics
 
 _SUFFIXES = (".txt", ".info", ".cam", ".calib", ".intr", ".intrinsics", ".pincam", ".yaml", ".yml", ".cfg", ".ini", "")
 _MOST_BYTES = 65_536  # of a calibration; those of eight cameras with distortion take 2 kB

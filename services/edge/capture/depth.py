@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.files import unreadable
-from services.edge.capture.images import decode_depth, decode_grey, decode_rgb, image_size, read_bytes
-from services.edge.capture.tables import npy_array
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.files import unreadable
+from capture2vr.edge.capture.images import decode_depth, decode_grey, decode_rgb, image_size, read_bytes
+from capture2vr.edge.capture.npy_array import npy_array
 
 _SATURATED = 65_535  # the largest value of 16 bits: beyond the sensor's range, or a marker for "unknown"
 MAX_DEPTH_M = 1_000.0  # metres; no phone measures further, so a larger value is a marker for "unknown"

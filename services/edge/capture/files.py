@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.errors import Cancelled, CaptureError
 
 MAX_FILES = 20_000  # a minute of LiDAR at 60 frames/s with three files each is 10,800
 MAX_DEPTH = 6  # levels of folders below the capture's root that are listed
@@ -43,6 +43,11 @@ def translate_errors(file: str, what: str) -> Iterator[None]:
 def unreadable(file: str, reason: str, *hints: str) -> CaptureError:
     """Return a CAPTURE_UNREADABLE error for a file whose content is not what its name or header says."""
     return CaptureError("CAPTURE_UNREADABLE", reason, file=file, hints=hints or ("export the capture again",))
+
+
+def truncated(file: str, reason: str) -> CaptureError:
+    """Return a CAPTURE_TRUNCATED error: the file is shorter than its own header says."""
+    return CaptureError("CAPTURE_TRUNCATED", reason, file=file, hints=("copy or export the file again",))
 
 
 def number_order(name: str) -> tuple[tuple[int, str], ...]:

@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.depth import ColourSource, DepthSource, ImageColour, confidence_image, depth_file
-from services.edge.capture.files import Folder, unreadable
-from services.edge.capture.nouns import Capture, Frame, Intrinsics, ShownPicture
-from services.edge.capture.poses import Axes, checked_pose
-from services.edge.capture.upright_places import StoredPlaces
-from services.edge.errors import CaptureError
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.depth import ColourSource, DepthSource, ImageColour, confidence_image, depth_file
+from capture2vr.edge.capture.files import Folder, unreadable
+from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, ShownPicture
+from capture2vr.edge.capture.poses import Axes, checked_pose
+from capture2vr.edge.capture.upright_places import StoredPlaces
+from capture2vr.edge.errors import CaptureError
 
 MAX_BAD_SHARE = 0.1  # of the frames may have a broken pose or depth; they are dropped with a warning
 _FOCAL_RANGE = (0.05, 50.0)  # focal length over the image's longer side: a field of view of 170 degrees to 1 degree

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from services.apple_maker_note import read_acceleration
+from capture2vr.order.apple_maker_note import read_acceleration
 
 _MAKER_NOTE, _ELEVATION = 0x927C, 0x9405  # Apple's acceleration is in the first; the second is CameraElevationAngle
 _UPRIGHT = ((0, -1), (-1, 0), (0, 1), (1, 0))

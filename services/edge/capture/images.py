@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.files import translate_errors
-from services.edge.errors import CaptureError
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.files import translate_errors
+from capture2vr.edge.errors import CaptureError
 
 MAX_PIXELS = 100_000_000  # the largest phone sensors give 200 MP raw and 50 MP pictures; 100 MP is 300 MB decoded
 _PNG = b"\x89PNG\r\n\x1a\n"

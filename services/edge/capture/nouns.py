@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Protocol
 
 from pydantic import ConfigDict, Field
 
-from services.edge.arrays import Bools, Bytes, Floats, pick
+from capture2vr.edge.arrays import Bools, Bytes, Floats, pick
 
 CaptureKind = Literal["points", "rgbd", "photos", "image"]
 ScaleConfidence = Literal["metric", "estimated", "unknown"]

@@ -6,9 +6,9 @@ import threading
 
 import numpy as np
 
-from services.edge.arrays import Bytes
-from services.edge.capture.nouns import LoadPhoto
-from services.edge.capture.picture import PhotoPixels
+from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.capture.nouns import LoadPhoto
+from capture2vr.edge.capture.picture import PhotoPixels
 
 COPY_PX = 1920
 """Longer side of the copies: no step but a single photo's reads more."""

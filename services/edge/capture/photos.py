@@ -8,13 +8,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from services.edge.capture.files import Folder
-from services.edge.capture.gravity_tags import elevation_deg, up_in_camera
-from services.edge.capture.images import read_bytes
-from services.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
-from services.edge.capture.photo_copy import keep_copy
-from services.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.files import Folder
+from capture2vr.edge.capture.gravity_tags import elevation_deg, up_in_camera
+from capture2vr.edge.capture.images import read_bytes
+from capture2vr.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
+from capture2vr.edge.capture.photo_copy import keep_copy
+from capture2vr.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
+from capture2vr.edge.errors import CaptureError
 
 MAX_PHOTOS = 300  # a walk-around has 20 to 100; each further photo costs seconds and improves almost nothing
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif")

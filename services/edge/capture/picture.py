@@ -17,11 +17,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from services.edge.arrays import Bytes
-from services.edge.capture.files import translate_errors
-from services.edge.capture.images import broken_image, check_pixels, read_bytes
-from services.edge.errors import CaptureError
-from services.raw_photos import is_raw_photo
+from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.capture.files import translate_errors
+from capture2vr.edge.capture.images import broken_image, check_pixels, read_bytes
+from capture2vr.edge.errors import CaptureError
+from capture2vr.order.raw_photos import is_raw_photo
 
 _HEAD_BYTES = 16
 _PILLOW_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")

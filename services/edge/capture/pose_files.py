@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.capture.calibration import find_calibration
-from services.edge.capture.files import Folder, numbers, read_text, unreadable
-from services.edge.capture.frame_records import (
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.calibration import find_calibration
+from capture2vr.edge.capture.files import Folder, numbers, read_text, unreadable
+from capture2vr.edge.capture.frame_records import (
     FrameRecord,
     check_mostly_paired,
     frame_of_files,
@@ -27,9 +27,9 @@ from services.edge.capture.frame_records import (
     rgbd_capture,
     without_poses,
 )
-from services.edge.capture.images import image_size
-from services.edge.capture.nouns import Capture, Intrinsics
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.images import image_size
+from capture2vr.edge.capture.nouns import Capture, Intrinsics
+from capture2vr.edge.errors import CaptureError
 
 STEPS_PER_METRE = 1000.0
 KINECT = Intrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)  # the depth camera of 7-Scenes, as its authors give it

@@ -6,13 +6,13 @@ import posixpath
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
-from services.edge.arrays import Floats
-from services.edge.capture.files import Folder
-from services.edge.capture.frame_records import MAX_BAD_SHARE, checked_intrinsics, first_names
-from services.edge.capture.nouns import Capture, Intrinsics, Photo, PhotoVerdict, ScaleConfidence
-from services.edge.capture.photos import evenly_spaced, left_out_warning, pictures, unreadable_verdict
-from services.edge.capture.poses import Axes, checked_pose
-from services.edge.errors import CaptureError
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.files import Folder
+from capture2vr.edge.capture.frame_records import MAX_BAD_SHARE, checked_intrinsics, first_names
+from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo, PhotoVerdict, ScaleConfidence
+from capture2vr.edge.capture.photos import evenly_spaced, left_out_warning, pictures, unreadable_verdict
+from capture2vr.edge.capture.poses import Axes, checked_pose
+from capture2vr.edge.errors import CaptureError
 
 _SAME_SHAPE = 0.02  # relative tolerance of the aspect ratio: scaled copies have rounded sides
 

@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.errors import CaptureError
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import CaptureError
 
 Axes = Literal["opencv", "opengl"]
 

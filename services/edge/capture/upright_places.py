@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.capture.picture import read_header
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.picture import read_header
 
 
 def turn_places(at: Floats, turns: int) -> Floats:

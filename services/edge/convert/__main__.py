@@ -1,4 +1,4 @@
-"""Child process that converts one bundle: `python -m services.edge.convert FOLDER FORMAT KEY OUT`.
+"""Child process that converts one bundle: `python -m capture2vr.edge.convert FOLDER FORMAT KEY OUT`.
 
 A process of its own, because a large mesh takes much memory: it is limited here, and gone afterwards.
 """
@@ -10,8 +10,8 @@ import resource
 import sys
 from pathlib import Path
 
-from services.edge.child_process import set_up_child
-from services.edge.convert.convert_bundle import BundleFolder, convert
+from capture2vr.edge.child_process import set_up_child
+from capture2vr.edge.convert.convert_bundle import BundleFolder, convert
 
 # Of memory, beside what the libraries take: text has three times the bytes of the arrays that it is made from.
 _LEAST_BYTES, _BYTES_PER_BYTE, _MOST_BYTES = 1 << 30, 24, 6 << 30

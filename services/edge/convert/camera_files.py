@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.convert.capture_points import CapturePoints
-from services.edge.export.obj import zip_bytes
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.convert.capture_points import CapturePoints
+from capture2vr.edge.export.obj import zip_bytes
 
 _MOST_POINTS = 200_000  # of the points that trainers begin with; COLMAP's text has 50 bytes for each
 _OPENGL = np.diag([1.0, -1, -1, 1])  # from OpenGL's axes of a camera to OpenCV's

@@ -7,9 +7,9 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.export.ply import ply_bytes
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.mesh.nouns import Mesh
 
 _GREY = 128  # sRGB, of points without colours where a format must have some
 

@@ -1,5 +1,6 @@
-"""Convert the files of a bundle to a format for other programs: `python -m services.edge.convert` does it for a worker,
-`capture2vr convert` on a desk.
+"""Convert the files of a bundle to a format for other programs.
+
+For a worker `python -m capture2vr.edge.convert` does it, on a desk `capture2vr convert`.
 """
 
 from __future__ import annotations
@@ -15,23 +16,23 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 from trimesh.visual import ColorVisuals
 
-from services.download_formats import CAMERAS, FINEST, MESH, POINTS, SPLATS, TILESET
-from services.edge.arrays import Floats
-from services.edge.convert.camera_files import colmap_zip, transforms_zip
-from services.edge.convert.capture_points import CapturePoints
-from services.edge.convert.join_tiles import join_tiles
-from services.edge.convert.read_glb import StoredLevel, read_glb
-from services.edge.convert.tileset_zip import tileset_zip
-from services.edge.export.glb import to_glb
-from services.edge.export.obj import to_obj_zip
-from services.edge.export.ply import ply_bytes
-from services.edge.export.usdz import to_phone_usdz
-from services.edge.export.z_up import z_up
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.splats.splat_glb import to_splat_glb
-from services.edge.splats.spz import from_spz, to_spz
-from services.edge.splats.surface_splats import cover_with_splats
-from services.edge.texture.nearest_colour import transfer_colours
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.convert.camera_files import colmap_zip, transforms_zip
+from capture2vr.edge.convert.capture_points import CapturePoints
+from capture2vr.edge.convert.join_tiles import join_tiles
+from capture2vr.edge.convert.read_glb import StoredLevel, read_glb
+from capture2vr.edge.convert.tileset_zip import tileset_zip
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.export.obj import to_obj_zip
+from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.export.usdz import to_phone_usdz
+from capture2vr.edge.export.z_up import z_up
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.splats.splat_glb import to_splat_glb
+from capture2vr.edge.splats.spz import from_spz, to_spz
+from capture2vr.edge.splats.surface_splats import cover_with_splats
+from capture2vr.edge.texture.nearest_colour import transfer_colours
+from capture2vr.order.download_formats import CAMERAS, FINEST, MESH, POINTS, SPLATS, TILESET
 
 _MM = 1000.0  # per metre
 
@@ -62,7 +63,7 @@ class BundleFolder:
 
 
 def convert(bundle: BundleFolder, format_name: str, key: str) -> bytes:
-    """Convert a bundle to a format of `services.download_formats`; key: what the files inside a zip are named by.
+    """Convert a bundle to a format of `capture2vr.order.download_formats`; key: name of the files in a zip.
 
     Raises ValueError where a file of the bundle is not what it should be, FileNotFoundError where one is missing.
     """

@@ -8,13 +8,13 @@ from io import BytesIO
 
 import numpy as np
 
-from services.download_formats import TILESET
-from services.edge.convert.read_glb import StoredLevel, read_glb
-from services.edge.convert.tileset_zip import tiles_in
-from services.edge.mesh.concatenate import concatenate
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.render.sample_image import bilinear
-from services.edge.texture.nearest_colour import transfer_colours
+from capture2vr.edge.convert.read_glb import StoredLevel, read_glb
+from capture2vr.edge.convert.tileset_zip import tiles_in
+from capture2vr.edge.mesh.concatenate import concatenate
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.render.sample_image import bilinear
+from capture2vr.edge.texture.nearest_colour import transfer_colours
+from capture2vr.order.download_formats import TILESET
 
 _SAME_M, _SAME = 1e-5, 1e-6
 """Vertices in the same cell of this size are one: a tenth of the grid on which all tiles have theirs, or this share of

@@ -12,9 +12,9 @@ import meshopt
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.export.glb import KTX2
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.srgb import to_srgb
+from capture2vr.edge.export.glb import KTX2
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.srgb import to_srgb
 
 _TYPES = {5126: "<f4", 5120: "i1", 5123: "<u2", 5125: "<u4"}  # of accessors, by OpenGL's numbers
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}

@@ -6,8 +6,8 @@ import json
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from services.download_formats import TILESET
-from services.edge.export.obj import zip_bytes
+from capture2vr.edge.export.obj import zip_bytes
+from capture2vr.order.download_formats import TILESET
 
 
 def tileset_zip(read: Callable[[str], bytes]) -> bytes:

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from functools import partial
 from threading import Lock
 
-from services.edge.engine.local_engine import LocalEngine
-from services.edge.engine.nouns import Engine, Needs, OpenEngine
-from services.edge.errors import EdgeError
+from capture2vr.edge.engine.local_engine import LocalEngine
+from capture2vr.edge.engine.nouns import Engine, Needs, OpenEngine
+from capture2vr.edge.errors import EdgeError
 
 LOCAL = "local"
 ADDRESS = re.compile(r"ray://(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?):\d{1,5}", re.ASCII)
@@ -42,7 +42,7 @@ def _open_ray(address: str) -> Engine:
     # Else Ray's calls would start a cluster of their own on this machine once they have lost the one that they had.
     os.environ["RAY_ENABLE_AUTO_CONNECT"] = "0"
     try:
-        from services.edge.engine.ray_engine import RayEngine  # here, because Ray takes half a second to import
+        from capture2vr.edge.engine.ray_engine import RayEngine  # here, because Ray takes half a second to import
     except ImportError as error:
         raise EdgeError(
             "ENGINE_MISSING", f"EDGE_ENGINE={address} needs Ray ({error})", hints=("pip install 'capture2vr[ray]'",)

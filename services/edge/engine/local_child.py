@@ -1,4 +1,4 @@
-"""Child process of `LocalEngine` that runs one task: `python -m services.edge.engine.local_child`.
+"""Child process of `LocalEngine` that runs one task: `python -m capture2vr.edge.engine.local_child`.
 
 It reads (work, inputs), pickled, from standard input, and writes pickled pairs to standard output: ("fraction", float),
 then ("result", value) or ("error", exception). What the task prints goes to standard error.
@@ -11,8 +11,8 @@ import sys
 import time
 from typing import Any, BinaryIO
 
-from services.edge.child_process import die_with_parent
-from services.edge.errors import EdgeError
+from capture2vr.edge.child_process import die_with_parent
+from capture2vr.edge.errors import EdgeError
 
 _EVERY_S = 0.1  # between two reports of progress
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pickle
 import subprocess
-import sys
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,10 +12,11 @@ from dataclasses import dataclass
 from threading import Lock, Thread
 from typing import Any
 
-from services.edge.engine.nouns import ATTEMPTS, Needs, Result, Submitted, Work, lost
-from services.edge.errors import EdgeError
+from capture2vr.edge.engine.nouns import ATTEMPTS, Needs, Result, Submitted, Work, lost
+from capture2vr.edge.errors import EdgeError
+from capture2vr.process.child_start import python_command, start_child
 
-_CHILD = "services.edge.engine.local_child"
+_CHILD = "capture2vr.edge.engine.local_child"
 
 
 @dataclass(slots=True)
@@ -93,10 +93,9 @@ def _run(task: Submitted[Any], order: bytes, needs: Needs) -> None:
 
 def _start(needs: Needs) -> subprocess.Popen[bytes]:
     threads = str(max(1, int(needs.cpus)))
-    environment = {**os.environ, "OMP_NUM_THREADS": threads, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    return subprocess.Popen(  # noqa: S603 - our own module
-        [sys.executable, "-m", _CHILD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
-    )
+    environment = {**os.environ, "OMP_NUM_THREADS": threads}
+    command = python_command("-m", _CHILD)
+    return start_child(command, environment=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
 def _send(child: subprocess.Popen[bytes], order: bytes) -> None:

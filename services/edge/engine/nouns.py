@@ -13,8 +13,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
-from services.edge.arrays import Tick
-from services.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.errors import Cancelled, EdgeError
 
 ATTEMPTS = 4
 """How often a task is begun whose process is killed, or whose machine is lost."""

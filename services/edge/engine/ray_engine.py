@@ -17,10 +17,10 @@ from uuid import uuid4
 
 import ray
 
-import services
-from services.edge.engine.local_child import sendable
-from services.edge.engine.nouns import ATTEMPTS, Needs, Result, Submitted, Work, lost
-from services.edge.errors import EdgeError
+import capture2vr
+from capture2vr.edge.engine.local_child import sendable
+from capture2vr.edge.engine.nouns import ATTEMPTS, Needs, Result, Submitted, Work, lost
+from capture2vr.edge.errors import EdgeError
 
 _POLL_S = 0.5  # between two looks at what has ended
 _REPORT_S = 0.5  # between two reports of a task's progress
@@ -62,7 +62,7 @@ class RayEngine:
         )(_run)
         try:
             placed = [ray.put(each) if _is_large(each) else each for each in inputs]
-            reference = run.remote(services.__version__, self._progress, name, work, *placed)
+            reference = run.remote(capture2vr.__version__, self._progress, name, work, *placed)
             hash(reference)  # waits for the head's answer, which may be a refusal
         except Exception as error:
             raise self._lost(error) from error
@@ -156,8 +156,8 @@ class _Progress:
 
 def _run(version: str, progress: Any, name: str, work: Work[Any], *inputs: Any) -> tuple[str, Any]:
     """Run a task on its node; return ("result", value) or ("error", exception)."""
-    if version != services.__version__:
-        raised = f"a node has capture2vr {services.__version__}, and this is {version}"
+    if version != capture2vr.__version__:
+        raised = f"a node has capture2vr {capture2vr.__version__}, and this is {version}"
         return "error", EdgeError("ENGINE_VERSION", raised, hints=("install the same version on every node",))
     last = 0.0
 

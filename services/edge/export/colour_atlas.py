@@ -14,9 +14,9 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.srgb import to_linear, to_srgb
 
 MOST_FACES = 131_072  # fill 256² blocks: a texture of 2048², the largest that every phone loads
 

@@ -19,13 +19,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.export import meshopt
-from services.edge.export.glb_buffer import Buffer, CompressedBuffer, glb_bytes, glb_document
-from services.edge.export.glb_colour import SHORT, TRUE, rgba16
-from services.edge.export.shading import Shaded, shaded, with_tangents
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.export import meshopt
+from capture2vr.edge.export.glb_buffer import Buffer, CompressedBuffer, glb_bytes, glb_document
+from capture2vr.edge.export.glb_colour import SHORT, TRUE, rgba16
+from capture2vr.edge.export.shading import Shaded, shaded, with_tangents
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 
 Packing = Literal["float", "meshopt"]
 

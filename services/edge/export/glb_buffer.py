@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import services
-from services.edge.arrays import Floats
-from services.edge.export import meshopt
+import capture2vr
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.export import meshopt
 
 _BYTE = 5120  # component type
 _VERTICES, _INDICES = 34962, 34963  # buffer view targets
@@ -23,7 +23,7 @@ _JSON, _BIN = 0x4E4F534A, 0x004E4942  # chunk types
 def glb_document(primitive: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:
     """The glTF document of a scene of one node whose mesh has one primitive; the buffer's tables are not in it yet."""
     return {
-        "asset": {"version": "2.0", "generator": f"capture2vr {services.__version__}"},
+        "asset": {"version": "2.0", "generator": f"capture2vr {capture2vr.__version__}"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [node],

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.arrays import Bytes
-from services.edge.srgb import to_linear
+from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.srgb import to_linear
 
 _TOLERANCE = 0.8  # of the distance to where the next colour begins: rounding keeps the same sRGB byte
 

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Tick, no_tick
-from services.edge.child_process import ChildError, run_child
-from services.edge.errors import EdgeError
+from capture2vr.edge.arrays import Bytes, Tick, no_tick
+from capture2vr.edge.child_process import ChildError, run_child
+from capture2vr.edge.errors import EdgeError
 
 VERSION = "0.6.0"
 """Version of npm's ktx2-encoder; another version may give other bytes."""

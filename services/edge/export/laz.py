@@ -7,7 +7,7 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
+from capture2vr.edge.arrays import Bytes, Floats
 
 _STEP_M = 1e-4  # of the grid of positions: as in a GLB, less than a scan can tell
 _SMALL_M, _FINE = 1.0, 1e-4  # things below that size have ten thousand steps

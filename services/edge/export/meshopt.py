@@ -8,7 +8,7 @@ import meshopt
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.arrays import Floats, Ints
+from capture2vr.edge.arrays import Floats, Ints
 
 _VERTEX_CODEC = 0  # the version that EXT_meshopt_compression has; later ones are of KHR_meshopt_compression
 _OCTAHEDRAL_BITS = 8  # of a normal: off by 0.4 degrees at most

@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from trimesh.exchange.obj import export_obj
 
-import services
-from services.edge.export.shading import Shaded, shaded
-from services.edge.mesh.nouns import Mesh, TexturedMesh
+import capture2vr
+from capture2vr.edge.export.shading import Shaded, shaded
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 
 _DIGITS = 6  # of a metre: a micrometre
 _MATERIAL = "newmtl captured\nKa 0 0 0\nKd {0} {0} {0}\nKs 0 0 0\nillum 1\n"
@@ -24,7 +24,7 @@ def to_obj_zip(subject: Mesh | TexturedMesh, name: str) -> bytes:
     Vertex colours follow the positions, as MeshLab and Blender read them. Equal meshes give equal bytes.
     """
     text = _geometry(shaded(subject))
-    head = f"# capture2vr {services.__version__}: metres, Y up\nmtllib {name}.mtl\no {name}\nusemtl captured\n"
+    head = f"# capture2vr {capture2vr.__version__}: metres, Y up\nmtllib {name}.mtl\no {name}\nusemtl captured\n"
     grey = isinstance(subject, Mesh) and subject.rgb is None
     material = _MATERIAL.format(_NEUTRAL if grey else 1)
     files = {f"{name}.obj": (head + text).encode(), f"{name}.mtl": material.encode()}

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.arrays import Bools
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Bools
+from capture2vr.edge.mesh.nouns import Mesh
 
 _TYPES = {"<f4": "float", "u1": "uchar"}
 

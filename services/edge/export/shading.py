@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints, pick
-from services.edge.mesh.normals import split_flips, sum_at_vertices, vertex_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.arrays import Bools, Floats, Ints, pick
+from capture2vr.edge.mesh.normals import split_flips, sum_at_vertices, vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 
 
 @dataclass(frozen=True, slots=True)

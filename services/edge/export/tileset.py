@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-import services
-from services.edge.arrays import Floats
-from services.storage.bundle import content_name
+import capture2vr
+from capture2vr.edge.arrays import Floats
+from capture2vr.storage.bundle import content_name
 
 TILESET_FILE = "tileset.json"
 
@@ -61,7 +61,7 @@ def tileset_json(root: TilesetNode) -> bytes:
     for tile in root:
         _check_children(tile)
     document = {
-        "asset": {"version": "1.1", "generator": f"capture2vr {services.__version__}"},
+        "asset": {"version": "1.1", "generator": f"capture2vr {capture2vr.__version__}"},
         "geometricError": _UNSEEN * max(root.error_m, float(np.linalg.norm(root.high_m - root.low_m)) / 100),
         "root": {"refine": "REPLACE", **_tile(root)},
     }

@@ -14,13 +14,13 @@ from zipfile import ZIP_STORED, ZipFile, ZipInfo
 
 import numpy as np
 
-import services
-from services.edge.arrays import Floats, Ints
-from services.edge.export.colour_atlas import MOST_FACES, face_picture
-from services.edge.export.shading import Shaded, shaded
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.mesh.simplify import simplify
+import capture2vr
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.export.colour_atlas import MOST_FACES, face_picture
+from capture2vr.edge.export.shading import Shaded, shaded
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.mesh.simplify import simplify
 
 _SCENE, _PICTURE = "asset.usda", "colour.jpg"
 _ALIGNMENT = 64  # bytes: programs map the files into memory as they lie
@@ -113,7 +113,7 @@ def _scene(surface: Shaded, colour: _BaseColour | None) -> str:
     return f"""#usda 1.0
 (
     customLayerData = {{
-        string creator = "capture2vr {services.__version__}"
+        string creator = "capture2vr {capture2vr.__version__}"
     }}
     defaultPrim = "Asset"
     metersPerUnit = 1

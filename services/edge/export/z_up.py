@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
 
 Z_UP: Floats = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """(3,3) from the asset frame, in which Y is up: a quarter turn about X."""

@@ -21,11 +21,11 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from services.edge.arrays import DistanceFn, Floats, Ints
-from services.edge.field import checkpoint as checkpoints
-from services.edge.field import noise_trust
-from services.edge.field.adam import Adam
-from services.edge.field.anchor_losses import (
+from capture2vr.edge.arrays import DistanceFn, Floats, Ints
+from capture2vr.edge.field import checkpoint as checkpoints
+from capture2vr.edge.field import noise_trust
+from capture2vr.edge.field.adam import Adam
+from capture2vr.edge.field.anchor_losses import (
     DISTANCE,
     FLATNESS,
     GRADIENT,
@@ -39,16 +39,16 @@ from services.edge.field.anchor_losses import (
     flatness_loss,
     surface_loss,
 )
-from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors
-from services.edge.field.compute import capture_step, map_blocks, open_device, translate_memory_errors
-from services.edge.field.config import AnchorConfig
-from services.edge.field.denoise import denoise
-from services.edge.field.folds import noise_of
-from services.edge.field.local import LocalField, local_field
-from services.edge.field.noise import Noise
-from services.edge.field.noise_trust import CANDIDATES, Scan
-from services.edge.field.schedule import warm_up_cosine
-from services.edge.field.step import PER_YIELD, STEPS_BEFORE_CAPTURE, Step, check_points, refuse_divergence
+from capture2vr.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors
+from capture2vr.edge.field.compute import capture_step, map_blocks, open_device, translate_memory_errors
+from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.field.denoise import denoise
+from capture2vr.edge.field.folds import noise_of
+from capture2vr.edge.field.local import LocalField, local_field
+from capture2vr.edge.field.noise import Noise
+from capture2vr.edge.field.noise_trust import CANDIDATES, Scan
+from capture2vr.edge.field.schedule import warm_up_cosine
+from capture2vr.edge.field.step import PER_YIELD, STEPS_BEFORE_CAPTURE, Step, check_points, refuse_divergence
 
 LEAST_POINTS = 2 * NEIGHBOURS  # in a smaller cloud all patches share their neighbours, and none could agree
 FIRST_SHARE = 0.5  # of the config's steps, for each trial and the first round: they need no more than good normals

@@ -24,10 +24,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from services.edge.arrays import Floats, Ints
-from services.edge.field.anchors import Anchors, base, surface_at
-from services.edge.field.compute import rows
-from services.edge.field.quadrics import TINY
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.field.anchors import Anchors, base, surface_at
+from capture2vr.edge.field.compute import rows
+from capture2vr.edge.field.quadrics import TINY
 
 NEIGHBOURS = 20  # per anchor: with 10 the error on a dress is 4 % larger, with 24 it is the same
 NEAR = 0.6  # per spacing: how fast a neighbour's weight falls with its distance

@@ -24,10 +24,10 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Ints
-from services.edge.field.local import by_chunks
-from services.edge.field.patches import LENGTH, TERMS, Patches, patch_surface
-from services.edge.field.quadrics import TINY
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.field.local import by_chunks
+from capture2vr.edge.field.patches import LENGTH, TERMS, Patches, patch_surface
+from capture2vr.edge.field.quadrics import TINY
 
 SHAPE = 6  # numbers per anchor
 BLEND = 8  # patches per query: 12 smear sparse pleats

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from services.atomic_write import atomic_write
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
+from capture2vr.process.atomic_write import atomic_write
 
 SECONDS = 5.0  # between two writes: the most that a kill loses; a synced write of some 6 MB takes far less
 VERSION = 3  # of the state's layout

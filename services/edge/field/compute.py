@@ -14,10 +14,10 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from services.edge.arrays import Floats
-from services.edge.errors import EdgeError
-from services.edge.field.config import BLOCK_BYTES
-from services.edge.parallel import in_threads
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.config import BLOCK_BYTES
+from capture2vr.edge.parallel import in_threads
 
 _log = logging.getLogger(__name__)
 

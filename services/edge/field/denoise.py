@@ -19,10 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Ints, Tick, no_tick
-from services.edge.field.noise import Noise
-from services.edge.field.quadrics import TINY, fit_quadric, monomials, tangents, weighted_pca
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick
+from capture2vr.edge.field.noise import Noise
+from capture2vr.edge.field.quadrics import TINY, fit_quadric, monomials, tangents, weighted_pca
+from capture2vr.edge.parallel import in_threads, slices
 
 NEIGHBOURS = (16, 28, 50, 90, 160, 288)  # each ×1.8: steps of ×1.5 gain nothing; 518 gains 1 % and doubles the time
 REACH = 2.5  # in σ: 99 % of the noise keeps half its weight; a layer 5 σ away keeps an eighth

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from services.edge.errors import EdgeError
+from capture2vr.edge.errors import EdgeError
 
 _NAME = re.compile(r"auto|cuda(:\d+)?", re.ASCII)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
 
 _TINY = 1e-30  # avoids 0/0 for a set without extent; far below any squared distance in the unit frame
 

@@ -22,11 +22,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import DistanceFn, Floats, Tick, no_tick
-from services.edge.field.patches import Patches, fit_patches, predict
-from services.edge.field.planes import fit_planes
-from services.edge.field.quadrics import TINY
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import DistanceFn, Floats, Tick, no_tick
+from capture2vr.edge.field.patches import Patches, fit_patches, predict
+from capture2vr.edge.field.planes import fit_planes
+from capture2vr.edge.field.quadrics import TINY
+from capture2vr.edge.parallel import in_threads, slices
 
 BLEND = 8  # patches per query: 6 lose 1 % where points are sparse, 12 gain 2 % for half as much time again
 LAYER = 0.35  # in spacings: how far two patches may differ at the query before they count as two layers

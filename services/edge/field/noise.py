@@ -20,10 +20,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
-from services.edge.arrays import Floats, Ints
-from services.edge.field.planes import CHUNK, SPACING_RANK, rank_spacing
-from services.edge.field.quadrics import QUADRIC, TINY, monomials, tangents, weighted_pca
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.field.planes import CHUNK, SPACING_RANK, rank_spacing
+from capture2vr.edge.field.quadrics import QUADRIC, TINY, monomials, tangents, weighted_pca
+from capture2vr.edge.parallel import in_threads, slices
 
 SCALES = (12, 24, 48, 96)  # neighbours: the least that leave degrees of freedom beside 6 coefficients, then doubled
 # Noise / radius above which a neighbourhood is a ball, not a sheet, and its thickness is not yet the noise. A ball

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.field.anchors import Anchors
-from services.edge.field.noise import Noise
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.field.anchors import Anchors
+from capture2vr.edge.field.noise import Noise
 
 # μ, rising: cloth with noise almost as large as its folds needs the most. Where the least predicts best, averaging can
 # not be too wide.

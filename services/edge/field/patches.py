@@ -32,10 +32,10 @@ from math import factorial, sqrt
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Ints, Tick, no_tick
-from services.edge.field.planes import Planes
-from services.edge.field.quadrics import TINY, tangents
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick
+from capture2vr.edge.field.planes import Planes
+from capture2vr.edge.field.quadrics import TINY, tangents
+from capture2vr.edge.parallel import in_threads, slices
 
 NEIGHBOURS = 24  # 2.8 spacings around; 20 to 32 differ by 2 %
 LENGTH = np.float32(2.0)  # ℓ in spacings: 1.5 and 3 lose 10 % and 50 % on sparse pleats

@@ -19,9 +19,9 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.field.quadrics import TINY, weighted_pca
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.field.quadrics import TINY, weighted_pca
+from capture2vr.edge.parallel import in_threads, slices
 
 NEIGHBOURS = 16  # enough for a stable plane at random spacing, few enough to stay inside a fold
 SPACING_RANK = 8  # the 8th neighbour: its distance varies by a fifth at random spacing, the first one's by half

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.field.eigen import smallest_eigenvectors
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.field.eigen import smallest_eigenvectors
 
 QUADRIC = 6  # coefficients of a quadric height function
 TINY = 1e-12  # squared unit-frame lengths below float32's resolution: keeps duplicates from dividing by 0

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import EdgeError
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.errors import EdgeError
 
 PER_YIELD = {"cpu": 1, "cuda": 25}  # steps between two yields: reading the losses makes a GPU wait
 STEPS_BEFORE_CAPTURE = 3  # as a CUDA graph: allocators, cuBLAS and Adam's state settle in them

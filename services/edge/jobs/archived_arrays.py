@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.errors import EdgeError
+from capture2vr.edge.errors import EdgeError
 
 _HEADER_BYTES = 1024
 

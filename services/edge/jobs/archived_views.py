@@ -11,14 +11,14 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from services.edge.capture.images import header_size
-from services.edge.capture.nouns import Intrinsics
-from services.edge.capture.photo_copy import COPY_PX, encode_copy
-from services.edge.capture.picture import PhotoPixels
-from services.edge.jobs.archived_arrays import invalid, read_array, write_array
-from services.edge.parallel import in_threads
-from services.edge.points.nouns import Points, TextureView
-from services.edge.points.texture_views import MAX_TEXTURE_VIEWS
+from capture2vr.edge.capture.images import header_size
+from capture2vr.edge.capture.nouns import Intrinsics
+from capture2vr.edge.capture.photo_copy import COPY_PX, encode_copy
+from capture2vr.edge.capture.picture import PhotoPixels
+from capture2vr.edge.fusion.texture_views import MAX_TEXTURE_VIEWS
+from capture2vr.edge.jobs.archived_arrays import invalid, read_array, write_array
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.points.nouns import Points, TextureView
 
 MOST_VIEWS = 48
 """Most pictures: those for the textures, and those that are held out."""

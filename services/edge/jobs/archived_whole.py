@@ -10,10 +10,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import Cloud, CloudParts
-from services.edge.jobs.archived_arrays import invalid
-from services.edge.record_files import records_in_parts
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Cloud, CloudParts
+from capture2vr.edge.jobs.archived_arrays import invalid
+from capture2vr.edge.record_files import records_in_parts
 
 WHOLE = "whole.bin"
 """Name of the file in the archive."""

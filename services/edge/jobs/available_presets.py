@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import get_args
 
-from services.edge import preset_choice
-from services.edge.api import edge_pb2 as pb
-from services.edge.errors import EdgeError
-from services.edge.field.device import Device
-from services.edge.jobs.points_archive import VERSION
-from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
-from services.edge.worker.capabilities import Capabilities
+from capture2vr.edge import preset_choice
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.device import Device
+from capture2vr.edge.jobs.points_archive import VERSION
+from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
+from capture2vr.edge.worker.capabilities import Capabilities
 
 CHOICES: tuple[str, ...] = get_args(preset_choice.PresetName)
 """Names of the presets that the automatic choice may choose."""

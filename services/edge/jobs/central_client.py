@@ -17,10 +17,10 @@ from typing import TypeVar
 
 import grpc
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.jobs.points_archive import VERSION
-from services.grpc_client import GrpcClient, StreamEnded
-from services.grpc_security import NO_CREDENTIALS, ClientCredentials
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.api.grpc_client import GrpcClient, StreamEnded
+from capture2vr.edge.jobs.points_archive import VERSION
+from capture2vr.process.grpc_security import NO_CREDENTIALS, ClientCredentials
 
 _log = logging.getLogger(__name__)
 

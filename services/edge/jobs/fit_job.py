@@ -8,23 +8,23 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing
 from pathlib import Path
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.asset.target import target_of
-from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, preview_share
-from services.edge.engine.nouns import OpenEngine
-from services.edge.errors import EdgeError
-from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.field.device import Device
-from services.edge.pipeline import PreviewKept, bundles
-from services.edge.preset import AUTOMATIC, Preset, memory_bytes
-from services.edge.progress import Bar, Progress
-from services.edge.worker.job_request import ReconstructionRequest
-from services.edge.worker.job_run import Report
-from services.edge.worker.memory_budget import MemoryBudget
-from services.storage.bundle import Bundle, Json
-from services.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, StaleFence, publish
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.asset.target import target_of
+from capture2vr.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, preview_share
+from capture2vr.edge.engine.nouns import OpenEngine
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.field.device import Device
+from capture2vr.edge.pipeline import PreviewKept, bundles
+from capture2vr.edge.preset import AUTOMATIC, Preset, memory_bytes
+from capture2vr.edge.progress import Bar, Progress
+from capture2vr.edge.worker.job_request import ReconstructionRequest
+from capture2vr.edge.worker.job_run import Report
+from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.storage.bundle import Bundle, Json
+from capture2vr.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, StaleFence, publish
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 _log = logging.getLogger(__name__)
 

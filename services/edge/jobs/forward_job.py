@@ -10,12 +10,12 @@ from pathlib import Path
 
 import grpc
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.jobs.central_client import Central, CentralUnavailable
-from services.edge.worker.job_request import ReconstructionRequest
-from services.edge.worker.job_run import JobReturned, Report
-from services.grpc_client import RUN_UNKNOWN, GrpcClient, StreamEnded, file_chunks
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.api.grpc_client import RUN_UNKNOWN, GrpcClient, StreamEnded, file_chunks
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.jobs.central_client import Central, CentralUnavailable
+from capture2vr.edge.worker.job_request import ReconstructionRequest
+from capture2vr.edge.worker.job_run import JobReturned, Report
 
 _log = logging.getLogger(__name__)
 

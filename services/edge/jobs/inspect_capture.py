@@ -17,16 +17,16 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.arrays import Tick, no_tick
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture
-from services.edge.capture_to_points import require_single_photo
-from services.edge.errors import CaptureError
-from services.edge.single_photo.cutout import cut_out
-from services.fork_client import Forked, ForkServer
-from services.photo_box import PhotoBox
-from services.storage.archives import ArchiveError, unpack
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.arrays import Tick, no_tick
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.capture_to_points import require_single_photo
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.single_photo.cutout import cut_out
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.process.archives import ArchiveError, unpack
+from capture2vr.process.fork_client import Forked, ForkServer
 
 ANSWER = "inspection.pb"
 """File that the process writes: a serialised `Inspection`."""
@@ -41,7 +41,7 @@ class Inspector:
     """Inspects archives, each in a process of its own, without this worker's settings and secrets."""
 
     def __init__(self, server: ForkServer | None = None) -> None:
-        self._server = server or ForkServer.of("services.edge.jobs.inspection_work")
+        self._server = server or ForkServer.of("capture2vr.edge.jobs.inspection_work")
 
     def start(self) -> None:
         """Load all that an inspection needs now, so that the first one need not wait for it."""

@@ -8,12 +8,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.errors import EdgeError
-from services.edge.jobs.inspect_capture import ANSWER, inspect, too_costly, unpack_capture
-from services.edge.worker.failures import failure_of
-from services.fork_server import Send
-from services.photo_box import PhotoBox
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.jobs.inspect_capture import ANSWER, inspect, too_costly, unpack_capture
+from capture2vr.edge.worker.failures import failure_of
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.process.fork_server import Send
 
 # Beside the interpreter and its libraries, which have 350 MB: rows of text take 15 times their bytes when they are
 # parsed, and are parsed at 20 MB a second.

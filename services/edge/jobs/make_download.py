@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from services.download_formats import MESH
-from services.edge.arrays import Tick
-from services.edge.child_process import ChildError, run_child
-from services.edge.errors import EdgeError
-from services.storage.bundle import content_name
-from services.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download, store_download
-from services.storage.catalogue.faults import CatalogueFault
-from services.storage.catalogue.reader import AssetFile, parse_manifest
-from services.storage.store import Store
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.child_process import ChildError, run_child
+from capture2vr.edge.errors import EdgeError
+from capture2vr.order.download_formats import MESH
+from capture2vr.process.child_start import python_command
+from capture2vr.storage.bundle import content_name
+from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download, store_download
+from capture2vr.storage.catalogue.faults import CatalogueFault
+from capture2vr.storage.catalogue.reader import AssetFile, parse_manifest
+from capture2vr.storage.store import Store
 
 _MOST_BYTES = 512 << 20  # of the files that it is made from: a mesh of 20 million triangles
 _MOST_SECONDS = 300.0
@@ -71,7 +71,7 @@ def _convert(order: DownloadOrder, folder: Path, scratch: Path, tick: Tick) -> P
     """Convert the bundle in a process of its own, and return the file."""
     out, log = scratch / "made", scratch / "log"
     arguments: list[str | Path] = [folder, order.format.name, order.key, out]
-    command = [sys.executable, "-m", "services.edge.convert", *arguments]
+    command = python_command("-m", "capture2vr.edge.convert", *arguments)
     try:
         run_child(command, "the conversion", log, tick, most_seconds=_MOST_SECONDS)
     except ChildError as error:

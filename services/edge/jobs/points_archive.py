@@ -22,11 +22,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from services.atomic_write import atomic_write
-from services.edge.capture.nouns import PictureCamera, ScaleConfidence, UpSource
-from services.edge.capture_to_points import CaptureSummary, PreparedPoints
-from services.edge.jobs.archived_arrays import invalid, read_array, write_array
-from services.edge.jobs.archived_views import (
+from capture2vr.edge.capture.nouns import PictureCamera, ScaleConfidence, UpSource
+from capture2vr.edge.capture_to_points import CaptureSummary, PreparedPoints
+from capture2vr.edge.jobs.archived_arrays import invalid, read_array, write_array
+from capture2vr.edge.jobs.archived_views import (
     MOST_VIEWS,
     VIEW_BYTES,
     ArchivedView,
@@ -35,11 +34,12 @@ from services.edge.jobs.archived_views import (
     view_files,
     write_views,
 )
-from services.edge.jobs.archived_whole import MOST_WHOLE, RECORD, WHOLE, ArchivedWhole, read_whole, write_whole
-from services.edge.points.clean_cloud import MIN_POINTS
-from services.edge.points.nouns import CutReport, Points, UnseenSide
-from services.edits import Edits
-from services.storage.archives import ArchiveError, ArchiveLimits, unpack
+from capture2vr.edge.jobs.archived_whole import MOST_WHOLE, RECORD, WHOLE, ArchivedWhole, read_whole, write_whole
+from capture2vr.edge.points.clean_cloud import MIN_POINTS
+from capture2vr.edge.points.nouns import CutReport, Points, UnseenSide
+from capture2vr.order.edits import Edits
+from capture2vr.process.archives import ArchiveError, ArchiveLimits, unpack
+from capture2vr.process.atomic_write import atomic_write
 
 VERSION = 6
 """Version of this format. Workers compare theirs before any points are sent."""

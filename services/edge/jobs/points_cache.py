@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from services.edge.capture_to_points import PreparedPoints
-from services.edge.errors import EdgeError
-from services.edge.jobs.points_archive import read_prepared, write_prepared
+from capture2vr.edge.capture_to_points import PreparedPoints
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.jobs.points_archive import read_prepared, write_prepared
 
 _log = logging.getLogger(__name__)
 

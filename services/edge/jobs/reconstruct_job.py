@@ -10,36 +10,36 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.arrays import Tick
-from services.edge.asset.manifest import anchors_m, asset_frame
-from services.edge.capture.detect import read_capture
-from services.edge.capture_to_points import PreparedPoints, prepare
-from services.edge.engine.nouns import OpenEngine
-from services.edge.errors import EdgeError
-from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.field.device import Device, own_stream
-from services.edge.jobs.available_presets import capabilities_of
-from services.edge.jobs.central_client import Central, CentralUnavailable
-from services.edge.jobs.fit_job import FieldFitter, to_wire
-from services.edge.jobs.forward_job import forward, resume
-from services.edge.jobs.inspect_capture import Inspector, unpack_capture
-from services.edge.jobs.make_download import make_download
-from services.edge.jobs.points_archive import read_prepared
-from services.edge.jobs.points_cache import load_points, save_points
-from services.edge.points.nouns import Points
-from services.edge.preset import AUTOMATIC, Preset
-from services.edge.progress import Bar, Progress
-from services.edge.worker.capabilities import Capabilities
-from services.edge.worker.job_request import ReconstructionRequest
-from services.edge.worker.job_run import Report
-from services.edge.worker.memory_budget import MemoryBudget
-from services.photo_box import PhotoBox
-from services.storage.catalogue.downloads import DownloadOrder, StoredDownload
-from services.storage.catalogue.entry import DEFAULT_COLLECTION
-from services.storage.catalogue.publish import Publish, publish
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.asset.manifest import anchors_m, asset_frame
+from capture2vr.edge.capture_to_points import PreparedPoints, prepare
+from capture2vr.edge.engine.nouns import OpenEngine
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.field.device import Device, own_stream
+from capture2vr.edge.jobs.available_presets import capabilities_of
+from capture2vr.edge.jobs.central_client import Central, CentralUnavailable
+from capture2vr.edge.jobs.fit_job import FieldFitter, to_wire
+from capture2vr.edge.jobs.forward_job import forward, resume
+from capture2vr.edge.jobs.inspect_capture import Inspector, unpack_capture
+from capture2vr.edge.jobs.make_download import make_download
+from capture2vr.edge.jobs.points_archive import read_prepared
+from capture2vr.edge.jobs.points_cache import load_points, save_points
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.preset import AUTOMATIC, Preset
+from capture2vr.edge.progress import Bar, Progress
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.job_request import ReconstructionRequest
+from capture2vr.edge.worker.job_run import Report
+from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
+from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
+from capture2vr.storage.catalogue.publish import Publish, publish
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 T = TypeVar("T")
 

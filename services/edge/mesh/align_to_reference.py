@@ -14,10 +14,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import sample
-from services.edge.procrustes import procrustes
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.procrustes import procrustes
 
 _STEPS = 20  # of the refinement along the normals
 _STILL = 1e-6  # radians, share of the size, and of `_NEAR`: a step so small is the last

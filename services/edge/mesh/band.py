@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, DistanceFn, Floats, Ints, Tick, no_tick, part_of
-from services.edge.mesh.grid import CORNERS, STEP, Grid, find, sorted_unique, without
-from services.edge.mesh.spacing import point_spacing
+from capture2vr.edge.arrays import Bools, DistanceFn, Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.mesh.grid import CORNERS, STEP, Grid, find, sorted_unique, without
+from capture2vr.edge.mesh.spacing import point_spacing
 
 # Queries per slab, between two ticks. The first few measure how fast the field is, then a slab takes SLAB_SECONDS: the
 # local field answers 300,000 a second on one core, a large network 8,000, a GPU millions.

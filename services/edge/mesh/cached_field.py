@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, DistanceFn, Floats, Ints
-from services.edge.mesh.band import Band
-from services.edge.mesh.grid import CORNERS, Grid, find
+from capture2vr.edge.arrays import Bools, DistanceFn, Floats, Ints
+from capture2vr.edge.mesh.band import Band
+from capture2vr.edge.mesh.grid import CORNERS, Grid, find
 
 PARALLEL = 0.8  # least cosine between gradients of a smooth cell: its surface turns by less than 37°
 MOST_ERROR = 0.02  # coarse cells: largest error of a predicted distance; 0.04 cost the car .003 of its F(.005)

@@ -14,16 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, part_of
-from services.edge.mesh.clip import clip_to_manifold
-from services.edge.mesh.edges import border_edges, border_with, edges_of
-from services.edge.mesh.holes import fill_holes, zip_tears
-from services.edge.mesh.manifold import to_manifold
-from services.edge.mesh.normals import face_normals, vertex_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.regions import average_over_faces, connected_regions
-from services.edge.mesh.support import Support
-from services.edge.mesh.topology import compact, orient, pieces_of
+from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.mesh.clip import clip_to_manifold
+from capture2vr.edge.mesh.edges import border_edges, border_with, edges_of
+from capture2vr.edge.mesh.holes import fill_holes, zip_tears
+from capture2vr.edge.mesh.manifold import to_manifold
+from capture2vr.edge.mesh.normals import face_normals, vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.regions import average_over_faces, connected_regions
+from capture2vr.edge.mesh.support import Support
+from capture2vr.edge.mesh.topology import compact, orient, pieces_of
 
 SPECK = 15.0  # squared spacings, so points: a piece with room for fewer is noise, not surface
 PIN_HOLE = 12.0  # spacings: perimeter up to which holes are closed, no wider than 4; trimming reopens the real ones

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints
-from services.edge.mesh.edges import border_edges
-from services.edge.mesh.manifold import to_manifold
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.mesh.edges import border_edges
+from capture2vr.edge.mesh.manifold import to_manifold
+from capture2vr.edge.mesh.nouns import Mesh
 
 SNAP = 0.25  # of an edge: a cut this close to a vertex goes through it, or the border would be lined with slivers
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.nouns import Mesh
 
 
 def concatenate(meshes: Sequence[Mesh]) -> Mesh:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.band import NEAR_ZERO, Band, crosses
-from services.edge.mesh.grid import Grid
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.mesh.band import NEAR_ZERO, Band, crosses
+from capture2vr.edge.mesh.grid import Grid
 
 VOTES = 3  # rounds: three correct all but strips of noise
 OUTVOTED = 3  # odd faces, of four, from which on an edge is flipped

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.crossings import Crossings
-from services.edge.mesh.grid import STEP
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.mesh.crossings import Crossings
+from capture2vr.edge.mesh.grid import STEP
 
 # The corners of a quad are numbered 2·u + v, where its cell lies u steps back along the edge's first other axis and
 # v along its second. Walking round the edge gives this order.

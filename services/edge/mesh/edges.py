@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from services.edge.arrays import Ints
+from capture2vr.edge.arrays import Ints
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import DistanceFn, Floats, Ints, Tick, no_tick, part_of
-from services.edge.mesh.band import floor_of, walk
-from services.edge.mesh.cached_field import smooth_cells, with_cache
-from services.edge.mesh.crossings import find_crossings
-from services.edge.mesh.dual import connect, triangles
-from services.edge.mesh.grid import Grid, grid_around
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.settle import settle
+from capture2vr.edge.arrays import DistanceFn, Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.mesh.band import floor_of, walk
+from capture2vr.edge.mesh.cached_field import smooth_cells, with_cache
+from capture2vr.edge.mesh.crossings import find_crossings
+from capture2vr.edge.mesh.dual import connect, triangles
+from capture2vr.edge.mesh.grid import Grid, grid_around
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.settle import settle
 
 COARSEST = 48  # cells along the longest side: in a coarser grid no cell is smooth
 FLOOR_SHARE, COARSE_SHARE, WALK_SHARE = 0.01, 0.2, 0.6  # of the run time, measured with a network at 128³ and 256³

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import DistanceFn, Floats, Ints, Tick, no_tick, part_of
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import DistanceFn, Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.mesh.nouns import Mesh
 
 _PADDING = 0.05
 """Of the box beyond the points on every side, unit frame."""

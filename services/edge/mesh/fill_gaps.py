@@ -20,11 +20,11 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
-from services.edge.mesh.edges import border_edges, border_loops, edges_of
-from services.edge.mesh.holes import edges_between, triangulate_loop
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of
+from capture2vr.edge.mesh.holes import edges_between, triangulate_loop
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
 
 Fill = Literal["none", "unseen", "all"]
 """Which holes are filled: none; those in a surface that goes on around them, unless views saw through; all that no

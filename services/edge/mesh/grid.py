@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints
+from capture2vr.edge.arrays import Floats, Ints
 
 SIDE = 1 << 20  # corners per axis that a key can name: three axes fill 60 of 63 bits
 STEP = np.array([SIDE * SIDE, SIDE, 1], np.int64)

@@ -15,10 +15,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints
-from services.edge.mesh.edges import border_edges, border_loops, edges_of
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
 
 # An ear at an outer corner would lie back on the faces beside it. At a fold, where both sheets overshoot and pass each
 # other, the ear that joins them leans back too, but stands off the faces by more than this.

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints
-from services.edge.mesh.edges import Edges, edges_of, next_half
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import component_labels
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.mesh.edges import Edges, edges_of, next_half
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.topology import component_labels
 
 # A vertex that is cut in two leaves two at one place. Each draws back by this share of the way into its own faces, so
 # that a program which welds equal positions does not undo the cut.

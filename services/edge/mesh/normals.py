@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.mesh.nouns import Mesh
 
 
 def face_normals(vertices: Floats, faces: Ints) -> Floats:

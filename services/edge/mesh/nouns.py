@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, pick
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import pieces_of
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.topology import pieces_of
 
 MOST_LISTED = 8
 """Pieces of a list that stand on lines of their own; the smaller ones are added up by their reasons."""

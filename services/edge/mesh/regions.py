@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.topology import vertex_pieces
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.mesh.topology import vertex_pieces
 
 
 def connected_regions(faces: Ints, chosen: Bools, areas: Floats, rim: Bools) -> tuple[Bools, Floats]:

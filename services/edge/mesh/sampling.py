@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
 
 
 @dataclass(frozen=True, slots=True)

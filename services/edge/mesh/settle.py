@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import DistanceFn, Floats, Ints, Tick, part_of
-from services.edge.mesh.band import evaluate
+from capture2vr.edge.arrays import DistanceFn, Floats, Ints, Tick, part_of
+from capture2vr.edge.mesh.band import evaluate
 
 PULL_MOST = 0.75  # cells: a vertex never leaves the cells next to its own
 RELAX = 0.5  # of the way to the neighbours' mean, inside the surface

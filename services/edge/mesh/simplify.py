@@ -18,13 +18,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Ints, Tick, no_tick, part_of
-from services.edge.mesh.edges import border_edges
-from services.edge.mesh.manifold import crowded_edges, to_manifold, without_fins
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.spatial_order import by_place
-from services.edge.mesh.topology import compact, orient, reseamed, seam_length
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.arrays import Bools, Ints, Tick, no_tick, part_of
+from capture2vr.edge.mesh.edges import border_edges
+from capture2vr.edge.mesh.manifold import crowded_edges, to_manifold, without_fins
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.spatial_order import by_place
+from capture2vr.edge.mesh.topology import compact, orient, reseamed, seam_length
+from capture2vr.edge.srgb import to_linear, to_srgb
 
 BUDGETS = (100_000, 25_000, 5_000)  # triangles: what a standalone headset draws near, across a room, and far off
 _FEWEST = 100  # faces under which a mesh is not worth a coarser level

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
 
 # On a surface the k-th neighbour of density ρ lies at √(k/πρ), and the spacing is 1/√ρ. Eight neighbours are few enough
 # to stay on one layer of cloth and enough to tell the spacing to about a fifth.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Ints
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Ints
+from capture2vr.edge.mesh.nouns import Mesh
 
 _CELLS = 1023  # along the longest side: the most for three numbers of 10 bits, interleaved in 32
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, part_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.parallel import in_threads, slices
 
 DISC = 2.0  # R in spacings
 HOLE_DISC = 1.5  # the largest empty one among 10,000 random points has 2.2, so holes must be weighed by area as well

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
-from services.edge.mesh.edges import Edges, edges_of
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from capture2vr.edge.mesh.edges import Edges, edges_of
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
 
 BEND_STEPS = 64  # distinct bends in the spanning tree of flattest neighbours: steps of 1.4° at a right angle
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bools
-from services.edge.mesh.clip import clip_to_manifold
-from services.edge.mesh.edges import border_edges
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.pieces import SplitMesh
-from services.edge.mesh.regions import average_over_faces, connected_regions
-from services.edge.mesh.topology import compact
+from capture2vr.edge.arrays import Bools
+from capture2vr.edge.mesh.clip import clip_to_manifold
+from capture2vr.edge.mesh.edges import border_edges
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.pieces import SplitMesh
+from capture2vr.edge.mesh.regions import average_over_faces, connected_regions
+from capture2vr.edge.mesh.topology import compact
 
 _ROUNDS = 2  # of averaging: without it the cut would run in the zigzag of the triangles
 _CRUMB = 1e-3  # of the mesh's area

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints
-from services.edge.capture.nouns import Frame, Intrinsics
-from services.edge.points.frame_faults import FrameFaults
-from services.edge.points.observe import at_resolution
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.capture.nouns import Frame, Intrinsics
+from capture2vr.edge.fusion.observe import at_resolution
+from capture2vr.edge.points.frame_faults import FrameFaults
 
 _MOST_FRAMES = 24
 _STEPS = (-2, -1, 1, 2)  # from a frame to those that it is compared with, among the chosen ones

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.odometry.pyramid import Level
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.odometry.pyramid import Level
 
 _MOST = 600
 """Most features per picture."""

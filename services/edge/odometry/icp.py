@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.odometry.pyramid import LEVELS, Level
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.odometry.pyramid import LEVELS, Level
 
 _ITERATIONS = (12, 8, 5)
 """Most iterations, from coarse to fine."""

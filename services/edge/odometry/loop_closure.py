@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick, part_of
-from services.edge.odometry.features import features_of
-from services.edge.odometry.icp import IcpFit, align
-from services.edge.odometry.place_recognition import similar_pairs
-from services.edge.odometry.pose_graph import Edge, optimise_poses
-from services.edge.odometry.pyramid import PackedLevel, pyramid
-from services.edge.odometry.relocalise import relocalise
+from capture2vr.edge.arrays import Floats, Tick, part_of
+from capture2vr.edge.odometry.features import features_of
+from capture2vr.edge.odometry.icp import IcpFit, align
+from capture2vr.edge.odometry.place_recognition import similar_pairs
+from capture2vr.edge.odometry.pose_graph import Edge, optimise_poses
+from capture2vr.edge.odometry.pyramid import PackedLevel, pyramid
+from capture2vr.edge.odometry.relocalise import relocalise
 
 _MEETING_M = 3.0
 """Largest distance of two cameras that are looked for by their pictures: farther away a thing looks too different."""

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.odometry.features import Features
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.odometry.features import Features
 
 _WORDS = 64
 _SAMPLES_PER_WORD = 500

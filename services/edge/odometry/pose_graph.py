@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats, Ints
+from capture2vr.edge.arrays import Floats, Ints
 
 _PIXELS_PER_MEASUREMENT = 400.0
 """Pixels that count as one measurement, 20 x 20: errors of neighbours are correlated, by smoothing and calibration."""

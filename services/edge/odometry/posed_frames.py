@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Tick, no_tick
-from services.edge.capture.frame_records import MAX_BAD_SHARE, as_warnings
-from services.edge.capture.nouns import MIN_PHOTOS, Capture
-from services.edge.errors import CaptureError, EdgeError
-from services.edge.odometry.check_poses import pose_fault
-from services.edge.odometry.tracker import track_frames
-from services.edge.photos.place_frames import place_frames
+from capture2vr.edge.arrays import Tick, no_tick
+from capture2vr.edge.cameras.place_frames import place_frames
+from capture2vr.edge.capture.frame_records import MAX_BAD_SHARE, as_warnings
+from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture
+from capture2vr.edge.errors import CaptureError, EdgeError
+from capture2vr.edge.odometry.check_poses import pose_fault
+from capture2vr.edge.odometry.tracker import track_frames
 
 _TRACKING = 0.6  # share of the progress that tracking takes, where structure from motion follows
 _ASTRAY = 20.0  # times the cameras' usual distance from their middle, and a metre

@@ -11,9 +11,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats
-from services.edge.capture.nouns import Intrinsics
-from services.edge.points.depth_limits import max_jump, slopes
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.capture.nouns import Intrinsics
+from capture2vr.edge.points.depth_limits import max_jump, slopes
 
 LEVELS = 3
 """Resolutions of a pyramid, each half of the next."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.odometry.features import MIN_MATCHES, Features, features_of, match_features
-from services.edge.odometry.icp import IcpFit, align
-from services.edge.odometry.pyramid import Level, pyramid
-from services.edge.procrustes import procrustes
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.odometry.features import MIN_MATCHES, Features, features_of, match_features
+from capture2vr.edge.odometry.icp import IcpFit, align
+from capture2vr.edge.odometry.pyramid import Level, pyramid
+from capture2vr.edge.procrustes import procrustes
 
 _REACH = 0.04
 """Largest distance, relative to the depth, between matched points that agree: covers depth noise and a pixel's size."""

@@ -15,18 +15,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick, no_tick, part_of
-from services.edge.capture.nouns import Frame
-from services.edge.errors import CaptureError
-from services.edge.odometry.icp import MIN_PAIRS, IcpFit, align
-from services.edge.odometry.loop_closure import close_loops
-from services.edge.odometry.pose_graph import Edge
-from services.edge.odometry.pyramid import Level, PackedLevel, pyramid
-from services.edge.odometry.relocalise import relocalise
-from services.edge.points.depth_limits import DepthLimits
-from services.edge.points.depth_range import survey_frames
-from services.edge.points.frame_faults import FrameFaults
-from services.edge.points.observe import at_resolution
+from capture2vr.edge.arrays import Bytes, Floats, Tick, no_tick, part_of
+from capture2vr.edge.capture.nouns import Frame
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.fusion.depth_range import survey_frames
+from capture2vr.edge.fusion.observe import at_resolution
+from capture2vr.edge.odometry.icp import MIN_PAIRS, IcpFit, align
+from capture2vr.edge.odometry.loop_closure import close_loops
+from capture2vr.edge.odometry.pose_graph import Edge
+from capture2vr.edge.odometry.pyramid import Level, PackedLevel, pyramid
+from capture2vr.edge.odometry.relocalise import relocalise
+from capture2vr.edge.points.depth_limits import DepthLimits
+from capture2vr.edge.points.frame_faults import FrameFaults
 
 _MAX_SIDE = 320
 """Longer side, in pixels, at which frames are aligned: at 640 the pose is no better and takes four times as long."""

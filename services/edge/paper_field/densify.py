@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Floats
-from services.edge.field.planes import SPACING_RANK, rank_spacing
-from services.edge.paper_field.losses import pull
-from services.edge.paper_field.network_config import Densify
-from services.edge.paper_field.networks import FieldNetwork
-from services.edge.paper_field.queries import Pool
-from services.edge.parallel import slices
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.field.planes import SPACING_RANK, rank_spacing
+from capture2vr.edge.paper_field.losses import pull
+from capture2vr.edge.paper_field.network_config import Densify
+from capture2vr.edge.paper_field.networks import FieldNetwork
+from capture2vr.edge.paper_field.queries import Pool
+from capture2vr.edge.parallel import slices
 
 DRAWN = 8  # queries per wanted point: half reach the surface, and the thinning keeps one of those close together
 PULLS = 2  # the second corrects the first: a trained field is only nearly a distance

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.field.compute import translate_memory_errors
-from services.edge.field.planes import SPACING_RANK, rank_spacing
-from services.edge.paper_field.network_config import GPU_CHUNK
-from services.edge.paper_field.networks import FieldNetwork
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.field.compute import translate_memory_errors
+from capture2vr.edge.field.planes import SPACING_RANK, rank_spacing
+from capture2vr.edge.paper_field.network_config import GPU_CHUNK
+from capture2vr.edge.paper_field.networks import FieldNetwork
+from capture2vr.edge.parallel import in_threads, slices
 
 FAR = 6.0  # local spacings: the network is used up to here. Its training reaches four, the extraction three and 2 cells
 CHUNK = {

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from services.edge.field.config import BLOCK_BYTES, AnchorConfig
-from services.edge.paper_field.network_config import (
+from capture2vr.edge.field.config import BLOCK_BYTES, AnchorConfig
+from capture2vr.edge.paper_field.network_config import (
     GPU_CHUNK,
     WARM_QUERIES,
     NetworkConfig,

@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.field.compute import open_device, translate_memory_errors
-from services.edge.field.step import Step, check_points
-from services.edge.paper_field.densify import densify_points
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.network_run import NetworkRun
-from services.edge.paper_field.objectives import paper_objective, paper_weights, regression_objective
-from services.edge.paper_field.queries import RANK, Batches, base_values, draw_pool
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.field.compute import open_device, translate_memory_errors
+from capture2vr.edge.field.step import Step, check_points
+from capture2vr.edge.paper_field.densify import densify_points
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.network_run import NetworkRun
+from capture2vr.edge.paper_field.objectives import paper_objective, paper_weights, regression_objective
+from capture2vr.edge.paper_field.queries import RANK, Batches, base_values, draw_pool
 
 
 def fit_network(

@@ -12,18 +12,18 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from services.edge.arrays import Floats
-from services.edge.field import checkpoint as checkpoints
-from services.edge.field.adam import Adam
-from services.edge.field.compute import capture_step
-from services.edge.field.schedule import warm_up_cosine
-from services.edge.field.step import PER_YIELD, STEPS_BEFORE_CAPTURE, Step, refuse_divergence
-from services.edge.paper_field.learned import learned_field
-from services.edge.paper_field.losses import total_loss
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.networks import NeighbourNetwork, network_of
-from services.edge.paper_field.objectives import Objective
-from services.edge.paper_field.queries import Batches, Pool
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.field import checkpoint as checkpoints
+from capture2vr.edge.field.adam import Adam
+from capture2vr.edge.field.compute import capture_step
+from capture2vr.edge.field.schedule import warm_up_cosine
+from capture2vr.edge.field.step import PER_YIELD, STEPS_BEFORE_CAPTURE, Step, refuse_divergence
+from capture2vr.edge.paper_field.learned import learned_field
+from capture2vr.edge.paper_field.losses import total_loss
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.networks import NeighbourNetwork, network_of
+from capture2vr.edge.paper_field.objectives import Objective
+from capture2vr.edge.paper_field.queries import Batches, Pool
 
 EXPLODED = 10.0  # loss, in unit frames, above which a fit has diverged: pulled queries lie ten boxes away
 WARM_START_RISE = 50  # warm-up steps of the warm start: Adam's first steps have no estimate of the variance

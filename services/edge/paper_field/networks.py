@@ -10,11 +10,11 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from services.edge.field.compute import Nearest, several_nearest_in
-from services.edge.paper_field.losses import MOST_CERTAIN
-from services.edge.paper_field.losses import certainty as certainty_of
-from services.edge.paper_field.network_config import INPUT_AT, NetworkConfig
-from services.edge.paper_field.network_passes import BEND, ROUNDING, Layer, field_value, field_value_and_gradient
+from capture2vr.edge.field.compute import Nearest, several_nearest_in
+from capture2vr.edge.paper_field.losses import MOST_CERTAIN
+from capture2vr.edge.paper_field.losses import certainty as certainty_of
+from capture2vr.edge.paper_field.network_config import INPUT_AT, NetworkConfig
+from capture2vr.edge.paper_field.network_passes import BEND, ROUNDING, Layer, field_value, field_value_and_gradient
 
 OUTPUT_BIAS = -0.5  # geometric initialisation (SAL, Atzmon & Lipman 2020): the field of a sphere of this radius
 

@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
-from services.edge.field.compute import nearest, nearest_in, rows
-from services.edge.paper_field import losses
-from services.edge.paper_field.network_config import NetworkConfig, far_batch
-from services.edge.paper_field.networks import FieldNetwork
-from services.edge.paper_field.queries import Pool
+from capture2vr.edge.field.compute import nearest, nearest_in, rows
+from capture2vr.edge.paper_field import losses
+from capture2vr.edge.paper_field.network_config import NetworkConfig, far_batch
+from capture2vr.edge.paper_field.networks import FieldNetwork
+from capture2vr.edge.paper_field.queries import Pool
 
 Objective = Callable[[Tensor], Mapping[str, Tensor]]
 """Indices of a batch (M,) into the pool -> the loss terms by name."""

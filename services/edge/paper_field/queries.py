@@ -20,9 +20,9 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from services.edge.arrays import DistanceFn, Floats, Ints
-from services.edge.paper_field.network_config import WARM_QUERIES, NetworkConfig, pool_size
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import DistanceFn, Floats, Ints
+from capture2vr.edge.paper_field.network_config import WARM_QUERIES, NetworkConfig, pool_size
+from capture2vr.edge.parallel import in_threads, slices
 
 RANK = 50  # the neighbour whose distance gives σ_p (NeuralPull)
 SPREAD, SPREAD_POINTS = 0.25, 20_000  # s: dense clouds spread their queries over more neighbours (CAP-UDF)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bytes
-from services.edge.capture.nouns import LoadPhoto, Photo
+from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.capture.nouns import LoadPhoto, Photo
 
 
 @dataclass(frozen=True, slots=True)

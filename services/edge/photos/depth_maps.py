@@ -17,20 +17,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick, no_tick, part_of
-from services.edge.capture.nouns import Frame, Intrinsics, ShownPicture
-from services.edge.capture.photo_copy import COPY_PX
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.parallel import in_threads
-from services.edge.photos.depth_consistency import confirmations
-from services.edge.photos.depth_rim import remove_rim
-from services.edge.photos.nouns import Alignment, PhotoView, picture_camera
-from services.edge.photos.plane_sweep import DepthMap, SweepBackendOf, backend_on, sweep
-from services.edge.photos.plane_sweep_cpu import CpuSweep
-from services.edge.photos.source_views import SOURCES, choose_sources
-from services.edge.photos.undistorted import UndistortedPhoto, load_undistorted_grey, load_undistorted_rgb
-from services.edge.photos.upright_photo import UprightPhoto
-from services.edge.photos.zncc import WINDOW
+from capture2vr.edge.arrays import Bytes, Floats, Tick, no_tick, part_of
+from capture2vr.edge.cameras.nouns import Alignment, PhotoView, picture_camera
+from capture2vr.edge.capture.nouns import Frame, Intrinsics, ShownPicture
+from capture2vr.edge.capture.photo_copy import COPY_PX
+from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.photos.depth_consistency import confirmations
+from capture2vr.edge.photos.depth_rim import remove_rim
+from capture2vr.edge.photos.plane_sweep import DepthMap, SweepBackendOf, backend_on, sweep
+from capture2vr.edge.photos.plane_sweep_cpu import CpuSweep
+from capture2vr.edge.photos.source_views import SOURCES, choose_sources
+from capture2vr.edge.photos.undistorted import UndistortedPhoto, load_undistorted_grey, load_undistorted_rgb
+from capture2vr.edge.photos.upright_photo import UprightPhoto
+from capture2vr.edge.photos.zncc import WINDOW
 
 LONGEST_PX = 640
 """Longer side of the pictures for stereo: 960 takes three times as long, without gain for an object that fills them."""

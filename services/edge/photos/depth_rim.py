@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.photos.zncc import WINDOW
+from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.photos.zncc import WINDOW
 
 _REACH = WINDOW // 2 + 1
 """Width of the rim in pixels: half a window, and one that the smoothing of the disparities adds."""

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import UpSource, certainty
-from services.edge.photos.nouns import PhotoView
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras.nouns import PhotoView
+from capture2vr.edge.capture.nouns import UpSource, certainty
 
 _LEAST_PHOTOS = 3
 """Photos that must tell gravity: fewer cannot contradict each other."""

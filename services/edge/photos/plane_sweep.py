@@ -14,10 +14,10 @@ from typing import Protocol
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.photos.plane_sweep_cpu import CpuSweep, vertex
-from services.edge.photos.undistorted import UndistortedPhoto
-from services.edge.photos.warp import Rays, WarpSource, shift_px
+from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.photos.plane_sweep_cpu import CpuSweep, vertex
+from capture2vr.edge.photos.undistorted import UndistortedPhoto
+from capture2vr.edge.photos.warp import Rays, WarpSource, shift_px
 
 _NEARER, _FARTHER = 0.7, 1.25
 """First and last plane, over the depths of a view's nearest and farthest sparse points."""
@@ -58,7 +58,7 @@ def backend_on(device: str) -> SweepBackendOf:
     """Return the backend for a device: "cpu", or a GPU as PyTorch names it."""
     if device == "cpu":
         return CpuSweep
-    from services.edge.photos.plane_sweep_torch import TorchSweep  # loads torch
+    from capture2vr.edge.photos.plane_sweep_torch import TorchSweep  # loads torch
 
     return lambda reference, sources: TorchSweep(reference, sources, device)
 

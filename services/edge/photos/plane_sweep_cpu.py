@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick
-from services.edge.photos.sgm import Costs, aggregate
-from services.edge.photos.undistorted import UndistortedPhoto
-from services.edge.photos.warp import Rays, WarpSource
-from services.edge.photos.zncc import BestTwo, Windows
+from capture2vr.edge.arrays import Bytes, Floats, Tick
+from capture2vr.edge.photos.sgm import Costs, aggregate
+from capture2vr.edge.photos.undistorted import UndistortedPhoto
+from capture2vr.edge.photos.warp import Rays, WarpSource
+from capture2vr.edge.photos.zncc import BestTwo, Windows
 
 
 class CpuSweep:

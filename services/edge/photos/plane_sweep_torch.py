@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from services.edge.arrays import Bytes, Floats, Tick
-from services.edge.photos.sgm import EDGE, P1, P2
-from services.edge.photos.undistorted import UndistortedPhoto
-from services.edge.photos.warp import Rays, WarpSource
-from services.edge.photos.zncc import NOISE, WINDOW
+from capture2vr.edge.arrays import Bytes, Floats, Tick
+from capture2vr.edge.photos.sgm import EDGE, P1, P2
+from capture2vr.edge.photos.undistorted import UndistortedPhoto
+from capture2vr.edge.photos.warp import Rays, WarpSource
+from capture2vr.edge.photos.zncc import NOISE, WINDOW
 
 _PLANES = 16
 """Planes processed at once: each tensor of 16 planes of 640 x 480 pixels takes 20 MB."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.arrays import Bytes
+from capture2vr.edge.arrays import Bytes
 
 Costs = NDArray[np.int16]
 

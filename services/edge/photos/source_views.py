@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats
-from services.edge.photos.nouns import Alignment
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.cameras.nouns import Alignment
 
 SOURCES = 4
 """Source views per view for the plane sweep."""

@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.capture.nouns import MIN_PHOTOS, Capture, Frame, Photo, PhotoVerdict, UpSource
-from services.edge.errors import CaptureError
-from services.edge.photos.crop import crop_photo
-from services.edge.photos.depth_maps import depth_frames
-from services.edge.photos.gravity import gravity_up
-from services.edge.photos.nouns import Alignment, PhotoView
-from services.edge.photos.parallax import require_parallax
-from services.edge.photos.screening import screen
-from services.edge.photos.structure_from_motion import align
-from services.edge.photos.turntable import axis_up, mask_background, thing_box
+from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.cameras.nouns import Alignment, PhotoView
+from capture2vr.edge.cameras.parallax import require_parallax
+from capture2vr.edge.cameras.screening import screen
+from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture, Frame, Photo, PhotoVerdict, UpSource
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.photos.crop import crop_photo
+from capture2vr.edge.photos.depth_maps import depth_frames
+from capture2vr.edge.photos.gravity import gravity_up
+from capture2vr.edge.photos.turntable import axis_up, mask_background, thing_box
 
 _ARMS_LENGTH = 0.6
 """Assumed metres from phone to object, for photos of unknown scale. The size of a cup or a chair is then right within a

@@ -14,11 +14,11 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Tick, no_tick
-from services.edge.capture.nouns import Frame, Photo
-from services.edge.errors import CaptureError
-from services.edge.parallel import in_threads
-from services.edge.photos.crop import CropBox, crop_photo
+from capture2vr.edge.arrays import Bools, Floats, Tick, no_tick
+from capture2vr.edge.capture.nouns import Frame, Photo
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.photos.crop import CropBox, crop_photo
 
 _LONGEST = 320  # longer side in pixels of the compared pictures: shake of two pixels of a photo disappears in them
 _ONE_CAMERA = 0.8  # least share of the photos that the still camera took; the others were edited, or do not belong here

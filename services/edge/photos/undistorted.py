@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.capture.nouns import Intrinsics
-from services.edge.photos.features import resize_mask
-from services.edge.photos.nouns import PhotoView
+from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.cameras.features import resize_mask
+from capture2vr.edge.cameras.nouns import PhotoView
+from capture2vr.edge.capture.nouns import Intrinsics
 
 _NEGLIGIBLE_DISTORTION = 1e-6
 """Largest distortion coefficient that is ignored: less moves no pixel by a hundredth of a pixel."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.capture.upright_places import turn_places
-from services.edge.photos.nouns import PhotoView
-from services.edge.photos.undistorted import camera_matrix
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras.nouns import PhotoView
+from capture2vr.edge.capture.upright_places import turn_places
+from capture2vr.edge.photos.undistorted import camera_matrix
 
 
 @dataclass(frozen=True, slots=True)

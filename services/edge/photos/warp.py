@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.photos.undistorted import UndistortedPhoto
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.photos.undistorted import UndistortedPhoto
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
+from capture2vr.edge.arrays import Bytes, Floats
 
 WINDOW = 7
 """Side of the windows in pixels: 5 is noisier, 9 makes thin objects wider."""

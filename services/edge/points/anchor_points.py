@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
+from capture2vr.edge.arrays import Bytes, Floats
 
 ANCHORS = 512
 """Number of points: within the paper's 100 to 1,000; 15 kB of a manifest."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats, Tick, no_tick, pick
-from services.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
-from services.edge.errors import CaptureError
-from services.edge.points.downsample import voxel_downsample, voxel_downsample_to
-from services.edge.points.nouns import Points
-from services.edge.points.outliers import inliers
-from services.edge.points.voxel_grid import voxel_keys
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, no_tick, pick
+from capture2vr.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.points.downsample import voxel_downsample, voxel_downsample_to
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.points.outliers import inliers
+from capture2vr.edge.points.voxel_grid import voxel_keys
 
 MAX_POINTS = 1_000_000
 """Most points of a cleaned cloud: neighbour searches in more take minutes, and the finest mesh shows no more detail."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.parallel import in_threads, slices
+from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.parallel import in_threads, slices
 
 NEIGHBOURS = (48, 32)
 """Number of neighbours in each of the two rounds; the first is wider than the ripples. Planes, not quadrics: quadrics

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats
-from services.edge.capture.nouns import Frame, Intrinsics
-from services.edge.errors import CaptureError
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.capture.nouns import Frame, Intrinsics
+from capture2vr.edge.errors import CaptureError
 
 _MAX_GRAZING_DEG = 78.0
 """Largest angle between ray and normal: steeper surfaces have unreliable depth, and look like flying pixels between

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.points.nouns import Points
-from services.edge.points.voxel_grid import sum_groups, voxel_keys
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.points.voxel_grid import sum_groups, voxel_keys
+from capture2vr.edge.srgb import to_linear, to_srgb
 
 _TRIES = 12
 """Most voxels that are tried, each of which takes a tenth of a second for a million points."""

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Tick, no_tick
-from services.edge.capture.nouns import Capture, Cloud, CloudParts, UpSource
-from services.edge.errors import EdgeError
-from services.edge.points.clean_cloud import MAX_POINTS, MIN_POINTS, cloud_points
-from services.edge.points.lasso import DrawnView, drawn_views, hide_left_out
-from services.edge.points.nouns import Points
-from services.edits import CropBox, CutPlane, Edits
+from capture2vr.edge.arrays import Bools, Floats, Tick, no_tick
+from capture2vr.edge.capture.nouns import Capture, Cloud, CloudParts, UpSource
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.points.clean_cloud import MAX_POINTS, MIN_POINTS, cloud_points
+from capture2vr.edge.points.lasso import DrawnView, drawn_views, hide_left_out
+from capture2vr.edge.points.nouns import Points
+from capture2vr.order.edits import CropBox, CutPlane, Edits
 
 _BY_PERSON = UpSource("person", 1.0)
 

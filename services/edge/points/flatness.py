@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.points.plane import largest_plane
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.points.plane import largest_plane
 
 _REACH = 0.05
 """Distance from the plane, over the standard deviation of the points along its shorter side: photos of a screen have 92

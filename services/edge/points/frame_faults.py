@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.frame_records import MAX_BAD_SHARE, as_warnings
-from services.edge.capture.nouns import Frame, Intrinsics
-from services.edge.errors import CaptureError
-from services.edge.points.depth_limits import DepthLimits, DepthView, load_depth, read_view
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.frame_records import MAX_BAD_SHARE, as_warnings
+from capture2vr.edge.capture.nouns import Frame, Intrinsics
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.points.depth_limits import DepthLimits, DepthView, load_depth, read_view
 
 _NAMED = 3  # frames that a sentence names
 

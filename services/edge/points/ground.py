@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.points.plane import Plane
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.points.plane import Plane
 
 _ROUNDS = 8
 """Rounds of least squares; the points on the ground change from one to the next."""

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, pick
-from services.edge.capture.nouns import Cloud
-from services.edge.errors import CaptureError
-from services.edge.points.ground import Ground
-from services.edge.points.nouns import CutReport, Points
-from services.edge.points.outliers import label_components
-from services.edge.points.plane import Plane, largest_plane
-from services.edge.points.removed_parts import largest_doubt
-from services.edge.points.upright import level_with
+from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick, pick
+from capture2vr.edge.capture.nouns import Cloud
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.points.ground import Ground
+from capture2vr.edge.points.nouns import CutReport, Points
+from capture2vr.edge.points.outliers import label_components
+from capture2vr.edge.points.plane import Plane, largest_plane
+from capture2vr.edge.points.removed_parts import largest_doubt
+from capture2vr.edge.points.upright import level_with
 
 _PLANE_REACH = 0.012
 """Distance from a plane within which points belong to it, as a share of the points' extent."""

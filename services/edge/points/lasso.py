@@ -13,12 +13,12 @@ from functools import partial
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints
-from services.edge.capture.nouns import Capture, Frame, Intrinsics, ShownPicture
-from services.edge.errors import EdgeError
-from services.edge.points.frame_faults import FrameFaults
-from services.edge.points.nouns import TextureView
-from services.photo_lasso import PhotoLasso
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, ShownPicture
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.points.frame_faults import FrameFaults
+from capture2vr.edge.points.nouns import TextureView
+from capture2vr.order.photo_lasso import PhotoLasso
 
 _TOLERANCE = 0.03
 """Relative depth behind the surface that a photo shows up to which a point is still that surface: fused depth errs by

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
-from services.edge.capture.nouns import (
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, pick
+from capture2vr.edge.capture.nouns import (
     Cloud,
     CloudParts,
     Frame,
@@ -18,7 +18,7 @@ from services.edge.capture.nouns import (
     ScaleConfidence,
     UpSource,
 )
-from services.edits import NO_EDITS, Edits
+from capture2vr.order.edits import NO_EDITS, Edits
 
 Cut = Literal["auto", "object", "scene"]
 """auto: the object where photos were taken around one, else the scene; object: without what it stands on and what

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
-from services.edge.points.voxel_grid import cell_keys, key_cells, voxel_keys
+from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from capture2vr.edge.points.voxel_grid import cell_keys, key_cells, voxel_keys
 
 _NEIGHBOURS = 10
 _MAX_ROUNDS = 8

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
 
 _SAMPLES = 400
 """Random planes tried: finds a plane with 20 % of the points with a probability of 96 %, one with 30 % always."""

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats
-from services.edge.points.outliers import label_components
-from services.edge.points.plane import Plane
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.points.outliers import label_components
+from capture2vr.edge.points.plane import Plane
 
 _LARGE_BASE, _LARGE_APART = 0.1, 0.4
 """Least points of a removed part, over the points kept, that a person is asked about: of one under the object,

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.points.nouns import Points
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.points.nouns import Points
 
 _MOST = 2_000
 """Most corners of the convex hull that are compared pair by pair."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.errors import CaptureError
-from services.edge.points.nouns import UnitFrame
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.points.nouns import UnitFrame
 
 
 def unit_frame(xyz: Floats) -> UnitFrame:

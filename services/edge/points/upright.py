@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import Capture, UpSource, certainty
-from services.edge.points.plane import largest_plane
-from services.edge.points.vertical_lines import vertical_lines
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Capture, UpSource, certainty
+from capture2vr.edge.points.plane import largest_plane
+from capture2vr.edge.points.vertical_lines import vertical_lines
 
 SURE = 0.7
 """Confidence from which on a source is believed without asking the next one: an expected error of three degrees."""

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.capture.nouns import Frame, Intrinsics, UpSource, certainty
-from services.edge.parallel import in_threads
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.capture.nouns import Frame, Intrinsics, UpSource, certainty
+from capture2vr.edge.parallel import in_threads
 
 _PICTURES = 24
 """Most pictures that are searched, 20 ms each."""

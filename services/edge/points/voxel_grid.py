@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.arrays import Bools, Floats, Ints
 
 _BITS = 21
 """Bits per axis of a key: three axes fill 63 bits, so a grid spans two million voxels per side."""

@@ -6,11 +6,11 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick, no_tick
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.parallel import in_threads
-from services.edge.render.renderer import RenderedView, RenderMesh, place_cameras, render_view
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.arrays import Bytes, Floats, Tick, no_tick
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.render.renderer import RenderedView, RenderMesh, place_cameras, render_view
+from capture2vr.edge.srgb import to_linear, to_srgb
 
 _AZIMUTHS = (25.0, 115.0, 205.0, 295.0)  # degrees about Y from +Z: front, right, back, left, each turned to show depth
 _ELEVATION = 15.0  # degrees: high enough to look into an open neck, low enough to see under a hem

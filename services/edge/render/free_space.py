@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints
-from services.edge.mesh.fill_gaps import Ask
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.sample_image import pixels_at, shrink_to
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.mesh.fill_gaps import Ask
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.sample_image import pixels_at, shrink_to
 
 _BEYOND = 0.02
 """Relative depth by which a view sees past a place, or something before it."""

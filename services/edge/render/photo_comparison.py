@@ -25,14 +25,14 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.parallel import in_threads
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import Hits, Scene
-from services.edge.render.sample_image import bilinear, pixels_at, shrink_to
-from services.edge.render.silhouette import beyond, cast_pixels, disc, outline_thing, see_mesh
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.rays import Hits, Scene
+from capture2vr.edge.render.sample_image import bilinear, pixels_at, shrink_to
+from capture2vr.edge.render.silhouette import beyond, cast_pixels, disc, outline_thing, see_mesh
 
 LIKENESS_PX = 960
 """Longer side of the pictures in which colours are compared."""

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.pieces import SplitMesh
-from services.edge.mesh.sampling import sample
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.sample_image import bilinear, pixels_at, shrink_to
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.pieces import SplitMesh
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.sample_image import bilinear, pixels_at, shrink_to
 
 _PLACES = 48
 """Places on each piece: shares are then exact to 7 %."""

@@ -6,7 +6,7 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
+from capture2vr.edge.arrays import Bytes, Floats
 
 _SIDE = 360
 """Pixels of the picture's width and height."""

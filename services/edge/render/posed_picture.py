@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
+from capture2vr.edge.arrays import Bytes, Floats
 
 T = TypeVar("T")
 

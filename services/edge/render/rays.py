@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.mesh.nouns import Mesh
 
 LIFT = 1e-3  # of the longest side: offset of a ray's origin from its surface, so that it does not hit that again
 _SKY_REACH = 0.35  # of the longest side: surface farther off does not darken

@@ -12,13 +12,13 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.export.shading import Shaded, shaded
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.parallel import in_threads
-from services.edge.render.rays import LIFT, Hits, Scene, open_sky, pinhole
-from services.edge.srgb import to_linear
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.export.shading import Shaded, shaded
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.render.rays import LIFT, Hits, Scene, open_sky, pinhole
+from capture2vr.edge.srgb import to_linear
 
 _HALF_VIEW = 0.25  # tangent of half the field of view: about 28°, a portrait lens
 _MARGIN = 1.06  # times the tightest fit of the mesh in the view

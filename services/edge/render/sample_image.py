@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.arrays import Bools, Bytes, Floats
 
 _COLUMNS = 1 << 10  # cv2.remap takes at most 32,767 rows or columns
 

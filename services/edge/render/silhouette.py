@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints
-from services.edge.mesh.nouns import Mesh
-from services.edge.parallel import in_threads
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import Hits, Scene, pinhole
-from services.edge.render.sample_image import pixels_at, shrink_to
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.rays import Hits, Scene, pinhole
+from capture2vr.edge.render.sample_image import pixels_at, shrink_to
 
 LONGEST_PX = 480
 """Longer side of the pictures in which outlines are compared: a hole of 1 % of the picture is then 5 pixels wide."""

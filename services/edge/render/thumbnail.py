@@ -10,11 +10,11 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Tick, no_tick, part_of
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.parallel import in_threads
-from services.edge.render.renderer import RenderedView, RenderMesh, place_cameras, render_view
-from services.edge.srgb import to_srgb
+from capture2vr.edge.arrays import Bytes, Tick, no_tick, part_of
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.render.renderer import RenderedView, RenderMesh, place_cameras, render_view
+from capture2vr.edge.srgb import to_srgb
 
 THUMBNAIL_SIDE, THUMBNAIL_BYTES = 256, 15_000  # pixels, bytes: a page of a hundred thumbnails is 1.5 MB at most
 TURNING_SIDE, TURNING_BYTES = 192, 200_000

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes
-from services.edge.single_photo.segmentation import grab_cut, has_contrast, main_part, no_object
+from capture2vr.edge.arrays import Bools, Bytes
+from capture2vr.edge.single_photo.segmentation import grab_cut, has_contrast, main_part, no_object
 
 _LEAST_PX = 16  # least side of a rectangle in pixels of the photo: less shows no shape
 _LEAST_SHARE = 0.05  # of the rectangle, that a thing covers; people draw it around the thing

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.capture.nouns import Photo
-from services.edge.errors import CaptureError
-from services.edge.single_photo.boxed import segment_in_box
-from services.edge.single_photo.plain_background import segment_by_colour
-from services.edge.single_photo.proposal import propose
-from services.edge.single_photo.segmentation import no_object
-from services.photo_box import WHOLE, PhotoBox
+from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.capture.nouns import Photo
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.single_photo.boxed import segment_in_box
+from capture2vr.edge.single_photo.plain_background import segment_by_colour
+from capture2vr.edge.single_photo.proposal import propose
+from capture2vr.edge.single_photo.segmentation import no_object
+from capture2vr.order.photo_box import WHOLE, PhotoBox
 
 LONGEST = 320
 """Longest side in pixels of the picture that is segmented: GrabCut takes 0.2 s, and the network sees only 64."""

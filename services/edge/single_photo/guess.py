@@ -15,14 +15,14 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick
-from services.edge.capture.nouns import Photo
-from services.edge.single_photo.camera import FILL, SIDE, project
-from services.edge.single_photo.cutout import CutOut, crop_square, cut_out
-from services.edge.single_photo.densify import densify
-from services.edge.single_photo.test_time_views import predict_from_views
-from services.edge.single_photo.weights import shipped_pixels
-from services.photo_box import PhotoBox
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, Tick
+from capture2vr.edge.capture.nouns import Photo
+from capture2vr.edge.single_photo.camera import FILL, SIDE, project
+from capture2vr.edge.single_photo.cutout import CutOut, crop_square, cut_out
+from capture2vr.edge.single_photo.densify import densify
+from capture2vr.edge.single_photo.prediction_views import predict_from_views
+from capture2vr.edge.single_photo.weights import shipped_pixels
+from capture2vr.order.photo_box import PhotoBox
 
 MOST_CONFIDENT = 0.2
 """The highest confidence of a guessed point, of 1: nothing was measured."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.single_photo.segmentation import (
+from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.single_photo.segmentation import (
     LEAST_AREA,
     grab_cut,
     has_contrast,

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes
-from services.edge.single_photo.saliency import saliency
-from services.edge.single_photo.segmentation import (
+from capture2vr.edge.arrays import Bools, Bytes
+from capture2vr.edge.single_photo.saliency import saliency
+from capture2vr.edge.single_photo.segmentation import (
     LEAST_AREA,
     grab_cut,
     has_contrast,

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
 
 _SUPERPIXELS = 250  # the paper's 200 to 300
 _COMPACTNESS = 12.0  # of SLIC: the weight of places against colours

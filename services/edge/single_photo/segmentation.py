@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.errors import CaptureError
+from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.errors import CaptureError
 
 MOST_AREA = 0.92
 """Most share of the picture that a thing covers."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Tick, no_tick
-from services.edge.capture.nouns import Capture
-from services.edge.points.denoise_stereo import smooth_stereo_points
-from services.edge.points.nouns import Points
-from services.edge.single_photo.guess import guess
-from services.photo_box import PhotoBox
+from capture2vr.edge.arrays import Tick, no_tick
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.points.denoise_stereo import smooth_stereo_points
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.single_photo.guess import guess
+from capture2vr.order.photo_box import PhotoBox
 
 _USUAL_M = 0.4
 """Metres of a thing that fills half of a picture taken at arm's length: an assumption, not a measurement."""

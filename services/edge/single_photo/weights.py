@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from services.edge.errors import EdgeError
-from services.edge.single_photo.network import Pixels
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.single_photo.network import Pixels
 
 SHIPPED = Path(__file__).with_name("weights")
 """Folder of the weights that come with the product: pixels.pt."""
@@ -37,7 +37,7 @@ def read_weights(path: Path) -> dict[str, Any]:
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
-        hint = "install the package again, or train them: python -m services.edge.single_photo_training"
+        hint = "install the package again"
         raise EdgeError("WEIGHTS_ABSENT", f"the weights file {path} does not exist", hints=(hint,)) from None
     return content
 

@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.splats.surface_splats import Splats
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.splats.surface_splats import Splats
 
 _REACH = 3.0  # standard deviations of a splat that are drawn
 _BLUR_PX2 = 0.3  # variance that is added to every splat, so that none falls between two pixels

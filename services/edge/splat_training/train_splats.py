@@ -23,16 +23,16 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from services.edge.arrays import Bools, Floats, Tick, no_tick, part_of
-from services.edge.errors import EdgeError
-from services.edge.field.compute import translate_memory_errors
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import Scene
-from services.edge.render.sample_image import shrink_to
-from services.edge.render.silhouette import disc, outline_thing, see_mesh
-from services.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
-from services.edge.splats.surface_splats import THINNEST_M, Splats
+from capture2vr.edge.arrays import Bools, Floats, Tick, no_tick, part_of
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.compute import translate_memory_errors
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.sample_image import shrink_to
+from capture2vr.edge.render.silhouette import disc, outline_thing, see_mesh
+from capture2vr.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
+from capture2vr.edge.splats.surface_splats import THINNEST_M, Splats
 
 LONGEST_PX = 640
 """Longer side of the photos that splats are compared with: a headset shows a thing at arm's length about as large."""

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from services.edge.export.glb_buffer import Buffer, glb_bytes, glb_document
-from services.edge.export.glb_colour import TRUE, rgba16
-from services.edge.splats.surface_splats import Splats
+from capture2vr.edge.export.glb_buffer import Buffer, glb_bytes, glb_document
+from capture2vr.edge.export.glb_colour import TRUE, rgba16
+from capture2vr.edge.splats.surface_splats import Splats
 
 _EXTENSION = "KHR_gaussian_splatting"
 _FLOAT, _USHORT = 5126, 5123  # component types, by OpenGL's numbers

@@ -15,8 +15,8 @@ import struct
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.splats.surface_splats import Splats
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.splats.surface_splats import Splats
 
 _MAGIC, _VERSION, _DEGREE, _FLAGS = 0x5053474E, 3, 0, 0
 _POSITION_BITS, _MOST_FRACTION_BITS = 23, 20  # without the sign; 2^-20 m is a thousandth of a millimetre

@@ -11,10 +11,10 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.render.sample_image import bilinear, shrink_to
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.render.sample_image import bilinear, shrink_to
 
 MOST_SPLATS = 300_000
 """As many as a standalone headset sorts and draws in time."""

@@ -14,12 +14,12 @@ from io import BytesIO
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
-from services.edge.mesh.normals import face_normals, vertex_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.parallel import in_threads, slices
-from services.edge.render.rays import Scene
-from services.edge.srgb import to_srgb
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.mesh.normals import face_normals, vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.parallel import in_threads, slices
+from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.srgb import to_srgb
 
 _BAND = 1 << 18  # texels looked up together: their rays take 50 MB, and a cancellation takes effect within a second
 _AT_ONCE = 1 << 16  # texels interpolated together: their arrays fit into the processor's cache

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick, no_tick, part_of
-from services.edge.export.shading import shaded, with_tangents
-from services.edge.mesh.normals import vertex_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.parallel import in_threads, slices
-from services.edge.render.rays import Scene, nearest_along
-from services.edge.texture.bake import add_rim_texels, fill_unknown, find_texels, interpolate, jpeg_of
+from capture2vr.edge.arrays import Floats, Tick, no_tick, part_of
+from capture2vr.edge.export.shading import shaded, with_tangents
+from capture2vr.edge.mesh.normals import vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.parallel import in_threads, slices
+from capture2vr.edge.render.rays import Scene, nearest_along
+from capture2vr.edge.texture.bake import add_rim_texels, fill_unknown, find_texels, interpolate, jpeg_of
 
 _REACH = 0.01  # of the longest side: farther off, a simplified mesh stands for something else
 _LEAST_COSINE = 0.3  # 73°: between normals that differ more lies a fold or another sheet

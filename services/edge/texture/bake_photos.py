@@ -19,17 +19,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.parallel import in_threads, slices
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.sample_image import bicubic, bilinear, pixels_at, shrink_to
-from services.edge.srgb import to_linear
-from services.edge.texture.bake import positions_and_normals, random_places
-from services.edge.texture.match_exposures import match_exposures
-from services.edge.texture.nearest_colour import ColouredPoints
-from services.edge.texture.photo_visibility import PhotoVisibility, pixel_width, usual_distance
-from services.edge.texture.refine_poses import LONGEST_PX, SeenPlaces, refine_poses
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.parallel import in_threads, slices
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.sample_image import bicubic, bilinear, pixels_at, shrink_to
+from capture2vr.edge.srgb import to_linear
+from capture2vr.edge.texture.bake import positions_and_normals, random_places
+from capture2vr.edge.texture.match_exposures import match_exposures
+from capture2vr.edge.texture.nearest_colour import ColouredPoints
+from capture2vr.edge.texture.photo_visibility import PhotoVisibility, pixel_width, usual_distance
+from capture2vr.edge.texture.refine_poses import LONGEST_PX, SeenPlaces, refine_poses
 
 _POWER = 12  # p: of views 10° apart the second best counts 0.8, the third 0.4, the fourth 0.2
 _SURE, _UNSURE = 0.35, 0.15  # q of the best view: from the first on only photos count, below the second only points

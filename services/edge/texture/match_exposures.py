@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats
+from capture2vr.edge.arrays import Bools, Floats
 
 _ENOUGH_PLACES = 8_000  # at light that differs by 5 % between photos, gains are then exact to half a percent
 _FEWEST_PLACES = 100  # that a photo must see to be compared; one that sees fewer keeps its exposure

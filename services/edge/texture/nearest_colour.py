@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.mesh.nouns import Mesh
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.srgb import to_linear, to_srgb
 
 _NEIGHBOURS = 6  # about one ring of a surface sample: smooths the noise of single pixels without washing out a print
 _NEAR = 0.05  # of the neighbours' mean distance: its square is added to d² in the weight 1/d², a bound for d = 0

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import LIFT, Scene
-from services.edge.render.sample_image import pixels_at
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.rays import LIFT, Scene
+from capture2vr.edge.render.sample_image import pixels_at
 
 _LEAST_COSINE = 0.2  # 78°: beyond, a pixel covers five times its width
 _RIM = 0.06  # of the photo's sides: towards the edge, places within this rim count less and less

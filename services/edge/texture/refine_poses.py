@@ -19,10 +19,10 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats, Ints, Tick, no_tick, part_of
-from services.edge.parallel import in_threads
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.sample_image import bilinear
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.sample_image import bilinear
 
 LONGEST_PX = 800
 """Longer side of the pictures that are aligned: a quarter of a pixel is then half a texel of a texture of 2048."""

@@ -9,16 +9,16 @@ from itertools import chain
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints, Tick, no_tick, part_of
-from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.mesh.sampling import area
-from services.edge.mesh.simplify import Hold, simplify
-from services.edge.parallel import in_threads, shared_ticks, slices
-from services.edge.srgb import to_linear, to_srgb
-from services.edge.texture.bake import bake, interpolate, jpeg_of, random_places
-from services.edge.texture.nearest_colour import ColouredPoints
-from services.edge.texture.unwrap import UnwrapError, unwrap
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick, part_of
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.mesh.sampling import area
+from capture2vr.edge.mesh.simplify import Hold, simplify
+from capture2vr.edge.parallel import in_threads, shared_ticks, slices
+from capture2vr.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.texture.bake import bake, interpolate, jpeg_of, random_places
+from capture2vr.edge.texture.nearest_colour import ColouredPoints
+from capture2vr.edge.texture.unwrap import UnwrapError, unwrap
 
 SMALLEST_PX = 64
 """Side of the smallest texture, in texels."""

@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
-from services.edge.arrays import Floats, Ints, Tick, no_tick
-from services.edge.child_process import ChildError, run_child
-from services.edge.mesh.edges import border_edges
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import compact
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick
+from capture2vr.edge.child_process import ChildError, run_child
+from capture2vr.edge.mesh.edges import border_edges
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.topology import compact
+from capture2vr.process.child_start import python_command
 
 MOST_FACES = 75_000
 """Most triangles that are unwrapped: 50,000 take seconds; a mesh of many openings cannot be brought down to them."""
@@ -143,10 +143,10 @@ def _patches(mesh: Mesh) -> tuple[Ints, Ints]:
 
 
 def _run_program(folder: Path, tick: Tick, most_seconds: float) -> None:
-    """Run unwrap_child.py to its end. -P: modules beside it must not shadow Python's own."""
+    """Run unwrap_child.py to its end."""
     program = Path(__file__).with_name("unwrap_child.py")
     try:
-        run_child([sys.executable, "-P", program, folder], "xatlas", folder / "log", tick, most_seconds=most_seconds)
+        run_child(python_command(program, folder), "xatlas", folder / "log", tick, most_seconds=most_seconds)
     except ChildError as error:
         raise UnwrapError(str(error)) from None
 

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from services.atomic_write import atomic_write
-from services.edge.arrays import Bytes, Floats
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.process.atomic_write import atomic_write
 
 RAW = np.dtype([("xyz", "<f4", (3,)), ("rgb", "u1", (3,))])
 """Record of a captured point: its place in cells from its tile's corner, and sRGB."""

@@ -13,8 +13,8 @@ from itertools import product
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.grid import PAD, Grid
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.mesh.grid import PAD, Grid
 
 SIDE = 256
 """Cells along a side of a tile, about: 2.56 m at 1 cm hold some 400,000 points of a furnished room with their halo, and

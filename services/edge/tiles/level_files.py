@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from services.atomic_write import atomic_write
-from services.edge.asset.target import Target
-from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.export.tileset import TilesetNode
-from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.grid import TileGrid, name_of
-from services.edge.tiles.parts import PartWork
-from services.edge.tiles.tile_levels import Level, Node, ancestor_level, tile_level
-from services.edge.tiles.tile_points import points_around
-from services.edge.tiles.tile_views import TileViews
-from services.edge.tiles.weld import SEAM
+from capture2vr.edge.asset.target import Target
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.export.tileset import TilesetNode
+from capture2vr.edge.tiles.folder import SceneFolder
+from capture2vr.edge.tiles.grid import TileGrid, name_of
+from capture2vr.edge.tiles.parts import PartWork
+from capture2vr.edge.tiles.tile_levels import Level, Node, ancestor_level, tile_level
+from capture2vr.edge.tiles.tile_points import points_around
+from capture2vr.edge.tiles.tile_views import TileViews
+from capture2vr.edge.tiles.weld import SEAM
+from capture2vr.process.atomic_write import atomic_write
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints, Tick, part_of
-from services.edge.field.denoise import denoise
-from services.edge.field.local import local_field
-from services.edge.field.noise import Noise
-from services.edge.mesh.clean import clean
-from services.edge.mesh.extract import extract_on_grid
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.spacing import point_spacing
-from services.edge.mesh.topology import compact
-from services.edge.tiles.grid import RING, UNIT, Tile, TileGrid, local_grid
+from capture2vr.edge.arrays import Floats, Ints, Tick, part_of
+from capture2vr.edge.field.denoise import denoise
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.field.noise import Noise
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.extract import extract_on_grid
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.spacing import point_spacing
+from capture2vr.edge.mesh.topology import compact
+from capture2vr.edge.tiles.grid import RING, UNIT, Tile, TileGrid, local_grid
 
 HIDDEN = 0.08
 """Cells of noise that the field's patches hide by themselves."""

@@ -12,10 +12,10 @@ from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from services.edge.arrays import part_of
-from services.edge.engine.nouns import Engine, Needs, Submitted, Work
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.progress import Bar, Progress
+from capture2vr.edge.arrays import part_of
+from capture2vr.edge.engine.nouns import Engine, Needs, Submitted, Work
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.progress import Bar, Progress
 
 TRIES = 3
 """How often a part is tried before the job fails."""

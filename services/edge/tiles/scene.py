@@ -20,30 +20,30 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-import services
-from services.edge.arrays import Floats, Tick, part_of
-from services.edge.asset.photo_check import posed_picture
-from services.edge.asset.target import Target
-from services.edge.capture.nouns import Cloud, CloudParts
-from services.edge.engine.nouns import Engine, OpenEngine
-from services.edge.errors import EdgeError
-from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.spacing import point_spacing
-from services.edge.points.nouns import Points
-from services.edge.preset import Preset
-from services.edge.preset_choice import ROOM_M
-from services.edge.progress import Bar, Clock, Progress
-from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.grid import HALO, SIDE, Tile, TileGrid, name_of, neighbours, tile_of
-from services.edge.tiles.level_files import LevelFiles
-from services.edge.tiles.mesh_tile import mesh_tile
-from services.edge.tiles.parts import PartWork, Span, run_parts
-from services.edge.tiles.tile_levels import Node
-from services.edge.tiles.tile_points import bounds_of, noise_of_tiles, points_around, sort_into_tiles, thin_tile
-from services.edge.tiles.tile_views import TileViews
-from services.edge.tiles.weld import strip_of, weld
+import capture2vr
+from capture2vr.edge.arrays import Floats, Tick, part_of
+from capture2vr.edge.asset.photo_check import posed_picture
+from capture2vr.edge.asset.target import Target
+from capture2vr.edge.capture.nouns import Cloud, CloudParts
+from capture2vr.edge.engine.nouns import Engine, OpenEngine
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.spacing import point_spacing
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.preset import Preset
+from capture2vr.edge.preset_choice import ROOM_M
+from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.edge.tiles.folder import SceneFolder
+from capture2vr.edge.tiles.grid import HALO, SIDE, Tile, TileGrid, name_of, neighbours, tile_of
+from capture2vr.edge.tiles.level_files import LevelFiles
+from capture2vr.edge.tiles.mesh_tile import mesh_tile
+from capture2vr.edge.tiles.parts import PartWork, Span, run_parts
+from capture2vr.edge.tiles.tile_levels import Node
+from capture2vr.edge.tiles.tile_points import bounds_of, noise_of_tiles, points_around, sort_into_tiles, thin_tile
+from capture2vr.edge.tiles.tile_views import TileViews
+from capture2vr.edge.tiles.weld import strip_of, weld
 
 TILE_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.1, "TEXTURING": 0.75, "PACKING": 0.97, "PUBLISHING": 0.99}
 """Fraction of the pass at which each stage begins: measured on 4 million points of a flat."""
@@ -152,7 +152,7 @@ def choose_grid(
 def _fingerprint(points: Points, count: int, to_asset: Floats, grid: TileGrid, target: Target) -> dict[str, object]:
     """What a scene's files depend on: they are made anew where any of it differs."""
     return {
-        "version": services.__version__,
+        "version": capture2vr.__version__,
         "points": count,
         "sample": hashlib.sha256(points.xyz.tobytes()).hexdigest(),
         "to_asset": to_asset.tolist(),

@@ -13,23 +13,23 @@ from functools import partial
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Bytes, Floats, Tick, part_of
-from services.edge.asset.target import Target
-from services.edge.export.glb import to_glb
-from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.mesh.concatenate import concatenate
-from services.edge.mesh.edges import border_edges
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.mesh.sampling import sample
-from services.edge.mesh.simplify import simplify
-from services.edge.mesh.topology import compact, orient
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.texture.bake_photos import PhotoProjection
-from services.edge.texture.nearest_colour import ColouredPoints, transfer_colours
-from services.edge.texture.texture_mesh import Palette, texture_levels
-from services.edge.tiles.grid import Tile, TileGrid
-from services.edge.tiles.weld import SEAM
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, part_of
+from capture2vr.edge.asset.target import Target
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.mesh.concatenate import concatenate
+from capture2vr.edge.mesh.edges import border_edges
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.mesh.simplify import simplify
+from capture2vr.edge.mesh.topology import compact, orient
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.texture.bake_photos import PhotoProjection
+from capture2vr.edge.texture.nearest_colour import ColouredPoints, transfer_colours
+from capture2vr.edge.texture.texture_mesh import Palette, texture_levels
+from capture2vr.edge.tiles.grid import Tile, TileGrid
+from capture2vr.edge.tiles.weld import SEAM
 
 _KEPT = 6  # of so many extracted triangles one stays: on flat walls the others show nothing
 # Times fewer triangles of an ancestor than of its children together, as many for each as for a tile; but no fewer than

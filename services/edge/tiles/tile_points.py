@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bytes, Floats, Ints, Tick
-from services.edge.capture.nouns import Cloud, CloudParts
-from services.edge.errors import EdgeError
-from services.edge.field.noise import noise_level
-from services.edge.points.voxel_grid import cell_keys, sum_groups
-from services.edge.srgb import to_linear, to_srgb
-from services.edge.tiles.folder import RAW, SceneFolder
-from services.edge.tiles.grid import STEPS, Tile, TileGrid, name_of, neighbours
+from capture2vr.edge.arrays import Bytes, Floats, Ints, Tick
+from capture2vr.edge.capture.nouns import Cloud, CloudParts
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.noise import noise_level
+from capture2vr.edge.points.voxel_grid import cell_keys, sum_groups
+from capture2vr.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.tiles.folder import RAW, SceneFolder
+from capture2vr.edge.tiles.grid import STEPS, Tile, TileGrid, name_of, neighbours
 
 MOST_TILES = 20_000
 """Tiles of a scene: 20 hectares of floor at 1 cm. More of them, and strays far away made the grid what it is."""

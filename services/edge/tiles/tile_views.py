@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.posed_picture import PosedPicture
 
 MOST = 12
 """Pictures of a tile: it is 2.5 m wide, and each takes half a second."""

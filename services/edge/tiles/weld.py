@@ -17,13 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.concatenate import concatenate
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.holes import fill_holes
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import compact, component_labels
-from services.edge.tiles.grid import Tile, TileGrid
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.mesh.concatenate import concatenate
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.holes import fill_holes
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.topology import compact, component_labels
+from capture2vr.edge.tiles.grid import Tile, TileGrid
 
 STRIP = 4.0
 """Cells around a tile in which its neighbours' faces are looked at."""

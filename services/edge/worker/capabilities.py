@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from services.edge.api import edge_pb2 as pb
+from capture2vr.edge.api import edge_pb2 as pb
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import grpc
 
-from services.download_formats import FORMATS
-from services.edge.api import edge_pb2 as pb
-from services.edge.errors import Cancelled
-from services.edge.worker.failures import DRAINING, failure_of
-from services.edge.worker.job_request import RefusedError, invalid
-from services.edge.worker.job_run import Work
-from services.edge.worker.scratch import Scratch
-from services.storage.bundle import is_sha256
-from services.storage.catalogue.downloads import DownloadOrder
-from services.storage.catalogue.entry import valid_key
-from services.storage.tenant_store import DEFAULT_TENANT, valid_tenant
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.worker.failures import DRAINING, failure_of
+from capture2vr.edge.worker.job_request import RefusedError, invalid
+from capture2vr.edge.worker.job_run import Work
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.order.download_formats import FORMATS
+from capture2vr.storage.bundle import is_sha256
+from capture2vr.storage.catalogue.downloads import DownloadOrder
+from capture2vr.storage.catalogue.entry import valid_key
+from capture2vr.storage.tenant_store import DEFAULT_TENANT, valid_tenant
 
 AT_ONCE = 2
 """Most downloads made at once, each a process of up to some gigabytes: more would slow down the jobs."""

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator
 
-from services.edge.api import edge_pb2 as pb
+from capture2vr.edge.api import edge_pb2 as pb
 
 Update = pb.Progress | pb.Published | pb.AnchorPoints
 Ending = pb.Failure | pb.Finished

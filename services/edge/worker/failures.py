@@ -6,8 +6,8 @@ import errno
 import logging
 from pathlib import Path
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.errors import EdgeError
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.errors import EdgeError
 
 _log = logging.getLogger(__name__)
 

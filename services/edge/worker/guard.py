@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
-from services.edge.worker.control_group import ControlGroup
-from services.parent_death import end_with_parent
+from capture2vr.edge.worker.control_group import ControlGroup
+from capture2vr.process.parent_death import end_with_parent
 
 _log = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""`python -m services.edge.worker.health`: a container's health check; exit 0 when the worker on EDGE_PORT serves."""
+"""`python -m capture2vr.edge.worker.health`: a container's health check; exit 0 when the worker on EDGE_PORT serves."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import sys
 import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from services.edge.worker.settings import EdgeSettings, server_security
-from services.grpc_security import NO_SECURITY, ClientCredentials, ServerSecurity, certificate_host
+from capture2vr.edge.worker.settings import EdgeSettings, server_security
+from capture2vr.process.grpc_security import NO_SECURITY, ClientCredentials, ServerSecurity, certificate_host
 
 _TIMEOUT_S = 2.0  # less than the timeout of the container's health check
 

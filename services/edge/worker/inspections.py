@@ -10,15 +10,15 @@ from pathlib import Path
 
 import grpc
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.arrays import Tick
-from services.edge.errors import Cancelled
-from services.edge.worker.failures import CANCELLED, failure_of
-from services.edge.worker.job_request import RefusedError
-from services.edge.worker.job_run import Work
-from services.edge.worker.scratch import Scratch
-from services.edge.worker.upload import receive
-from services.photo_box import PhotoBox
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.worker.failures import CANCELLED, failure_of
+from capture2vr.edge.worker.job_request import RefusedError
+from capture2vr.edge.worker.job_run import Work
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.edge.worker.upload import receive
+from capture2vr.order.photo_box import PhotoBox
 
 AT_ONCE = 4
 """Most inspections at once, each a process that mostly decodes headers: more would slow down the jobs, and a phone can

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import grpc
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.worker.event_log import Ending
-from services.edge.worker.failures import CANCELLED, DRAINING
-from services.edge.worker.job_request import ReconstructionRequest, RefusedError
-from services.edge.worker.job_run import JobRun, Work
-from services.edge.worker.metrics import WorkerMetrics
-from services.edge.worker.scratch import Scratch
-from services.edge.worker.upload import receive
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.worker.event_log import Ending
+from capture2vr.edge.worker.failures import CANCELLED, DRAINING
+from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError
+from capture2vr.edge.worker.job_run import JobRun, Work
+from capture2vr.edge.worker.metrics import WorkerMetrics
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.edge.worker.upload import receive
 
 _log = logging.getLogger(__name__)
 

@@ -9,17 +9,17 @@ from typing import TypeVar, get_args
 
 import grpc
 
-from services.asset_names import AssetNames
-from services.edge.api import edge_pb2 as pb
-from services.edge.asset.target import require_encoder, target_of
-from services.edge.errors import EdgeError
-from services.edge.mesh.fill_gaps import Fill
-from services.edge.points.nouns import Cut
-from services.edge.worker.capabilities import Capabilities
-from services.edits import LEAST_M, MOST_M, NO_EDITS, SEE, Edits, InvalidEdits
-from services.photo_box import HOW, InvalidBox, PhotoBox
-from services.storage.catalogue.visibility import Visibility
-from services.storage.tenant_store import DEFAULT_TENANT, valid_tenant
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.asset.target import require_encoder, target_of
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.mesh.fill_gaps import Fill
+from capture2vr.edge.points.nouns import Cut
+from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.edits import LEAST_M, MOST_M, NO_EDITS, SEE, Edits, InvalidEdits
+from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.tenant_store import DEFAULT_TENANT, valid_tenant
 
 T = TypeVar("T")
 

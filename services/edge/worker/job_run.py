@@ -11,18 +11,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.arrays import Tick
-from services.edge.errors import Cancelled
-from services.edge.worker.capabilities import Capabilities
-from services.edge.worker.checkpoint_files import CheckpointFiles
-from services.edge.worker.event_log import Ending, EventLog, Update
-from services.edge.worker.failures import failure_of, internal
-from services.edge.worker.job_request import ReconstructionRequest
-from services.logs import log_fields
-from services.photo_box import PhotoBox
-from services.storage.catalogue.downloads import DownloadOrder, StoredDownload
-from services.traces import StageSpans, capture_span, stage_spans
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.checkpoint_files import CheckpointFiles
+from capture2vr.edge.worker.event_log import Ending, EventLog, Update
+from capture2vr.edge.worker.failures import failure_of, internal
+from capture2vr.edge.worker.job_request import ReconstructionRequest
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.process.logs import log_fields
+from capture2vr.process.traces import StageSpans, capture_span, stage_spans
+from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
 
 _log = logging.getLogger(__name__)
 

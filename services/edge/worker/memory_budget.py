@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from services.edge.worker.control_group import own_control_group
+from capture2vr.edge.worker.control_group import own_control_group
 
 _POLL_S = 0.2
 """Seconds between two reports of a job that waits: a cancellation must take effect within two seconds."""

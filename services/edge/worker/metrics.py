@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Info, ProcessCollector, start_http_server
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.worker.event_log import Ending
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.worker.event_log import Ending
 
 _STAGE_S = (0.1, 0.25, 0.5, 1, 2.5, 5, 10, 20, 40, 60, 120, 300, 600, 1800, 3600, 21600)
 

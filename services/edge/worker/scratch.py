@@ -13,8 +13,8 @@ from pathlib import Path
 
 import grpc
 
-from services.edge.worker.checkpoint_files import CheckpointFiles
-from services.edge.worker.job_request import RefusedError
+from capture2vr.edge.worker.checkpoint_files import CheckpointFiles
+from capture2vr.edge.worker.job_request import RefusedError
 
 _log = logging.getLogger(__name__)
 

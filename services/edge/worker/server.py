@@ -13,23 +13,23 @@ from typing import Any, NoReturn
 import grpc
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.api import edge_pb2_grpc
+from capture2vr.edge.api.grpc_client import KEEPALIVE, MESSAGE_LIMITS
+from capture2vr.edge.worker.authentication import TokenAuthentication, drain_messages
+from capture2vr.edge.worker.downloads import Downloads
+from capture2vr.edge.worker.inspections import Inspections
+from capture2vr.edge.worker.job_queue import JobQueue
+from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError, checked_box
+from capture2vr.edge.worker.job_run import Work
+from capture2vr.edge.worker.metrics import WorkerMetrics
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.edge.worker.settings import EdgeSettings, server_security
+from capture2vr.edge.worker.upload import first_header
+from capture2vr.process.grpc_security import ServerSecurity
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.process.traces import start_tracing
 from services import __version__
-from services.edge.api import edge_pb2 as pb
-from services.edge.api import edge_pb2_grpc
-from services.edge.worker.authentication import TokenAuthentication, drain_messages
-from services.edge.worker.downloads import Downloads
-from services.edge.worker.inspections import Inspections
-from services.edge.worker.job_queue import JobQueue
-from services.edge.worker.job_request import ReconstructionRequest, RefusedError, checked_box
-from services.edge.worker.job_run import Work
-from services.edge.worker.metrics import WorkerMetrics
-from services.edge.worker.scratch import Scratch
-from services.edge.worker.settings import EdgeSettings, server_security
-from services.edge.worker.upload import first_header
-from services.grpc_client import KEEPALIVE, MESSAGE_LIMITS
-from services.grpc_security import ServerSecurity
-from services.strict_settings import SettingsError
-from services.traces import start_tracing
 
 _log = logging.getLogger(__name__)
 

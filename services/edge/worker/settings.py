@@ -9,9 +9,14 @@ from pathlib import Path
 from pydantic import ByteSize, Field, SecretStr, field_validator
 from pydantic_settings import SettingsConfigDict
 
-from services.edge.engine.address import check_engine
-from services.grpc_security import ClientCredentials, ServerSecurity, read_client_credentials, read_server_security
-from services.strict_settings import LOOPBACK, StrictSettings
+from capture2vr.edge.engine.address import check_engine
+from capture2vr.process.grpc_security import (
+    ClientCredentials,
+    ServerSecurity,
+    read_client_credentials,
+    read_server_security,
+)
+from capture2vr.process.strict_settings import LOOPBACK, StrictSettings
 
 _ADDRESS = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?):(?P<port>\d{1,5})", re.ASCII)
 """host:port, where the host is a name, an IPv4 address, or an IPv6 address in brackets."""

@@ -10,9 +10,9 @@ from typing import BinaryIO
 
 import grpc
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.worker.job_request import RefusedError, invalid
-from services.edge.worker.scratch import translate_disk_errors
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.worker.job_request import RefusedError, invalid
+from capture2vr.edge.worker.scratch import translate_disk_errors
 
 IDLE_S = 30.0
 """Seconds without a chunk after which an upload is refused: it takes up a place in the queue."""

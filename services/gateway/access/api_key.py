@@ -10,8 +10,8 @@ import re
 import secrets
 from dataclasses import dataclass
 
-from services.gateway.access.caller import Scope
-from services.storage.tenant_store import TENANT_PATTERN
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 _SECRET_BYTES = 32
 KEY_PATTERN = re.compile(rf"c2v_(?P<tenant>{TENANT_PATTERN})_[A-Za-z0-9_-]{{43}}", re.ASCII)

@@ -17,11 +17,11 @@ from cachetools import TTLCache
 from itsdangerous import BadSignature, URLSafeTimedSerializer
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.access.api_key import KEY_PATTERN, ApiKey, hash_of
-from services.gateway.access.caller import ALL_SCOPES, Caller
-from services.gateway.access.store import AccessStore
-from services.gateway.errors import Problem
-from services.storage.tenant_store import DEFAULT_TENANT
+from capture2vr.gateway.access.api_key import KEY_PATTERN, ApiKey, hash_of
+from capture2vr.gateway.access.caller import ALL_SCOPES, Caller
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.errors import Problem
+from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 CACHE_S = 15.0
 """Seconds for which a key's state is cached: the longest that a revoked key goes on."""

@@ -7,7 +7,7 @@ from limits.storage import MemoryStorage
 from limits.strategies import SlidingWindowCounterRateLimiter
 from starlette.requests import Request
 
-from services.gateway.errors import Problem
+from capture2vr.gateway.errors import Problem
 
 _OF_ADDRESS = RateLimitItemPerMinute(5)
 # In the five minutes that a code lives, strangers together try one in seven thousand of all.

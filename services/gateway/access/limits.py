@@ -14,11 +14,11 @@ from limits import RateLimitItem, RateLimitItemPerMinute, RateLimitItemPerSecond
 from limits.storage import MemoryStorage
 from limits.strategies import SlidingWindowCounterRateLimiter
 
-from services.gateway.access.authentication import CACHE_S, Authentication
-from services.gateway.access.caller import Caller
-from services.gateway.errors import Problem
-from services.gateway.own_address import is_own
-from services.gateway.settings import GatewaySettings
+from capture2vr.gateway.access.authentication import CACHE_S, Authentication
+from capture2vr.gateway.access.caller import Caller
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.own_address import is_own
+from capture2vr.gateway.settings import GatewaySettings
 
 _UPLOAD_RETRY_S = 5
 _TENANTS = 20_000  # whose limits are cached

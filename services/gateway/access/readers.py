@@ -12,13 +12,13 @@ from typing import Literal
 import anyio.to_thread
 from cachetools import TTLCache
 
-from services.gateway.access.authentication import CACHE_S
-from services.storage.catalogue.collection import index_name, read_index
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.scene_documents import read_scene
-from services.storage.catalogue.visibility import Visibility, effective
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.authentication import CACHE_S
+from capture2vr.storage.catalogue.collection import index_name, read_index
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.scene_documents import read_scene
+from capture2vr.storage.catalogue.visibility import Visibility, effective
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 _CACHED = 20_000
 

@@ -15,9 +15,9 @@ from typing import Any, Literal
 import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
-from services.gateway.access.readers import Kind, Thing
-from services.gateway.access.tables import shares
-from services.gateway.database import for_writing
+from capture2vr.gateway.access.readers import Kind, Thing
+from capture2vr.gateway.access.tables import shares
+from capture2vr.gateway.database.database import for_writing
 
 SHARE_ID = r"shr_[0-9a-f]{24}"
 # scrypt as OWASP has it for 16 MB: some 50 ms of a guess.

@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from cachetools import TTLCache
 from itsdangerous import BadSignature, Signer, URLSafeTimedSerializer
 
-from services.gateway.access.authentication import CACHE_S, SESSION_S, Authentication, refused
-from services.gateway.access.shares import SHARE_ID, Share, ShareStore
-from services.gateway.errors import Problem
+from capture2vr.gateway.access.authentication import CACHE_S, SESSION_S, Authentication, refused
+from capture2vr.gateway.access.shares import SHARE_ID, Share, ShareStore
+from capture2vr.gateway.errors import Problem
 
 COOKIE_PREFIX = "c2v_share_"
 """Prefix of the cookies of opened shares: each has one of its own, named by its id."""

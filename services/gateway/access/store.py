@@ -15,11 +15,11 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import IntegrityError
 
-from services.gateway.access.api_key import KEY_PATTERN, ApiKey, hash_of, new_secret
-from services.gateway.access.caller import Scope, parse_scopes, scope_names
-from services.gateway.access.tables import api_keys, pairings, secrets, tenants, usage
-from services.gateway.database import for_writing, upsert
-from services.storage.tenant_store import check_tenant
+from capture2vr.gateway.access.api_key import KEY_PATTERN, ApiKey, hash_of, new_secret
+from capture2vr.gateway.access.caller import Scope, parse_scopes, scope_names
+from capture2vr.gateway.access.tables import api_keys, pairings, secrets, tenants, usage
+from capture2vr.gateway.database.database import for_writing, upsert
+from capture2vr.storage.tenant_store import check_tenant
 
 PAIRING_S = 300.0
 """Seconds in which a pairing can be claimed: a minute to fetch the headset, and some to type."""

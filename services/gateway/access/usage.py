@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.access.authentication import Authentication
-from services.gateway.access.limits import TenantLimits, capture_too_large, too_much_stored
-from services.gateway.errors import Problem
-from services.storage.store import Store, list_all
-from services.storage.tenant_store import DEFAULT_TENANT, FOLDER, store_of_tenant
+from capture2vr.gateway.access.authentication import Authentication
+from capture2vr.gateway.access.limits import TenantLimits, capture_too_large, too_much_stored
+from capture2vr.gateway.errors import Problem
+from capture2vr.storage.store import Store, list_all
+from capture2vr.storage.tenant_store import DEFAULT_TENANT, FOLDER, store_of_tenant
 
 FRESH_S = 600.0
 """Seconds after which a tenant's objects are counted anew, when it uploads next."""

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 
-from services.gateway.jobs.reports import Report, coalesce
+from capture2vr.gateway.jobs.reports import Report, coalesce
 
 
 async def batch_reports(

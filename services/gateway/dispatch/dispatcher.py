@@ -12,11 +12,11 @@ from functools import partial
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.dispatch.run_supervisor import Dependencies, RunSupervisor
-from services.gateway.jobs.job import Job
-from services.gateway.jobs.state_machine import lease_to_worker, take_over
-from services.gateway.jobs.store import JobStore, NextJob, Slot, SlotTaken
-from services.gateway.worker_types import WorkerStatus
+from capture2vr.gateway.dispatch.run_supervisor import Dependencies, RunSupervisor
+from capture2vr.gateway.jobs.job import Job
+from capture2vr.gateway.jobs.state_machine import lease_to_worker, take_over
+from capture2vr.gateway.jobs.store import JobStore, NextJob, Slot, SlotTaken
+from capture2vr.gateway.workers.worker_types import WorkerStatus
 
 _POLL_S = 0.5  # between checks of the queue without a wake-up: another gateway may queue jobs
 _WORKERS_S = 2.0  # between polls of workers that are away, and of those with free slots while jobs wait

@@ -6,12 +6,12 @@ import asyncio
 import hashlib
 import logging
 
-from services.gateway.errors import RETRY_S, Problem
-from services.gateway.worker_client import WorkerPool
-from services.gateway.worker_types import RunUnknown, WorkerBusy, WorkerLost
-from services.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant, tenant_prefix
+from capture2vr.gateway.errors import RETRY_S, Problem
+from capture2vr.gateway.workers.worker_client import WorkerPool
+from capture2vr.gateway.workers.worker_types import RunUnknown, WorkerBusy, WorkerLost
+from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant, tenant_prefix
 
 WAIT_S = 20.0
 """Longest that a request waits for a download to be made: proxies end requests after 30 s or more."""

@@ -14,13 +14,13 @@ from typing import Protocol
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.dispatch.batching import batch_reports
-from services.gateway.errors import Problem
-from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.capture_objects import capture_bytes, capture_name, object_chunks
-from services.gateway.jobs.job import Job
-from services.gateway.jobs.reports import DRAINING, Report, RunFailed, RunFinished, RunHeartbeat
-from services.gateway.jobs.state_machine import (
+from capture2vr.gateway.dispatch.batching import batch_reports
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.capture_objects import capture_bytes, capture_name, object_chunks
+from capture2vr.gateway.jobs.job import Job
+from capture2vr.gateway.jobs.reports import DRAINING, Report, RunFailed, RunFinished, RunHeartbeat
+from capture2vr.gateway.jobs.state_machine import (
     RUNNING_STATES,
     Change,
     LeaseLost,
@@ -29,9 +29,9 @@ from services.gateway.jobs.state_machine import (
     requeue_lost,
     requeue_refused,
 )
-from services.gateway.jobs.store import JobStore, NextJob
-from services.gateway.worker_client import WorkerPool
-from services.gateway.worker_types import (
+from capture2vr.gateway.jobs.store import JobStore, NextJob
+from capture2vr.gateway.workers.worker_client import CHUNK_BYTES, WorkerPool
+from capture2vr.gateway.workers.worker_types import (
     RunKnown,
     RunOutOfMemory,
     RunUnknown,
@@ -39,11 +39,10 @@ from services.gateway.worker_types import (
     WorkerLost,
     WorkerUnreachable,
 )
-from services.grpc_client import CHUNK_BYTES
-from services.logs import log_fields
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
-from services.traces import capture_span
+from capture2vr.process.logs import log_fields
+from capture2vr.process.traces import capture_span
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 _BATCH_INTERVAL_S = 0.2  # between two writes about one run: people see five steps a second, the disk syncs as often
 _GATHER_S = 0.005  # a worker reports the version that it published and the end of its run one after the other

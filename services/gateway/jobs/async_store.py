@@ -14,11 +14,11 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 from sqlalchemy.exc import DBAPIError
 
-from services.gateway.database_faults import Fault, fault_of
-from services.gateway.jobs.job import Job
-from services.gateway.jobs.notifier import JobNotifier
-from services.gateway.jobs.state_machine import Change
-from services.gateway.jobs.store import JobStore
+from capture2vr.gateway.database_faults import Fault, fault_of
+from capture2vr.gateway.jobs.job import Job
+from capture2vr.gateway.jobs.notifier import JobNotifier
+from capture2vr.gateway.jobs.state_machine import Change
+from capture2vr.gateway.jobs.store import JobStore
 
 P = ParamSpec("P")
 T = TypeVar("T")

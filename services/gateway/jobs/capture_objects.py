@@ -11,9 +11,9 @@ from collections.abc import AsyncGenerator, Callable
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
-from services.gateway.errors import Problem
-from services.gateway.full_disk import is_disk_full
-from services.storage.store import Store
+from capture2vr.gateway.database.full_disk import is_disk_full
+from capture2vr.gateway.errors import Problem
+from capture2vr.storage.store import Store
 
 _log = logging.getLogger(__name__)
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 
-from services.gateway.errors import Problem
-from services.gateway.jobs.capture_objects import receipt_name
-from services.storage.catalogue.entry import read_entry, valid_key
-from services.storage.store import Store
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.capture_objects import receipt_name
+from capture2vr.storage.catalogue.entry import read_entry, valid_key
+from capture2vr.storage.store import Store
 
 
 def require_collection(name: str, hint: str) -> str:

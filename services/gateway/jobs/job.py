@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from services.edits import NO_EDITS, Edits
-from services.storage.tenant_store import DEFAULT_TENANT
+from capture2vr.order.edits import NO_EDITS, Edits
+from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 Json = Mapping[str, Any]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from sqlalchemy.engine import Connection
 
-from services.gateway.jobs.job import Job, State
-from services.gateway.postgres_notify import can_notify, notify
+from capture2vr.gateway.database.postgres_notify import can_notify, notify
+from capture2vr.gateway.jobs.job import Job, State
 
 PAUSED = "PAUSED"
 """What is told of a job that is queued again, but waits for its next attempt; of others it is the state."""

@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.job import State
-from services.gateway.jobs.job_news import CHANNEL
-from services.gateway.jobs.store import JobStore
-from services.gateway.postgres_notify import listen
+from capture2vr.gateway.database.postgres_notify import listen
+from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.job import State
+from capture2vr.gateway.jobs.job_news import CHANNEL
+from capture2vr.gateway.jobs.store import JobStore
 
 _FIRST_REFUSAL_S = 0.1  # the gateway that queued a job mostly finds a slot for it; then the others need not look
 _POLL_S = 1.0  # SQLite: between checks for changes that another gateway wrote

@@ -17,9 +17,9 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Connection
 
-from services.gateway.jobs.job import State
-from services.gateway.jobs.state_machine import RUNNING_STATES
-from services.gateway.jobs.tables import jobs, leases, queue_turns
+from capture2vr.gateway.jobs.job import State
+from capture2vr.gateway.jobs.state_machine import RUNNING_STATES
+from capture2vr.gateway.jobs.tables import jobs, leases, queue_turns
 
 _not_before = sa.select(leases.c.not_before).where(leases.c.job == jobs.c.id).scalar_subquery()
 _RUNS = [state.value for state in RUNNING_STATES]

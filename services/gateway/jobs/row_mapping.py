@@ -8,9 +8,9 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from services.edits import Edits
-from services.gateway.jobs.job import Event, Job, Lease, Order, State
-from services.gateway.jobs.tables import events, jobs, leases
+from capture2vr.gateway.jobs.job import Event, Job, Lease, Order, State
+from capture2vr.gateway.jobs.tables import events, jobs, leases
+from capture2vr.order.edits import Edits
 
 WHOLE_JOB = sa.select(jobs, *[column.label(f"lease_{column.name}") for column in leases.c]).join(leases)
 """SELECT of a job joined with its lease: all columns of a Job."""

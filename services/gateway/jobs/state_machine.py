@@ -16,9 +16,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from services.gateway.errors import Problem
-from services.gateway.jobs.job import Event, Job, Lease, Order, State
-from services.gateway.jobs.reports import (
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.job import Event, Job, Lease, Order, State
+from capture2vr.gateway.jobs.reports import (
     CANCELLED,
     DRAINING,
     AnchorsFound,

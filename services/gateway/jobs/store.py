@@ -18,11 +18,12 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import IntegrityError
 
-from services.gateway.database import brief_wait, for_writing, pipelined, upsert
-from services.gateway.errors import Problem
-from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
-from services.gateway.jobs.job_news import announce
-from services.gateway.jobs.queue_order import (
+from capture2vr.gateway.database.database import brief_wait, for_writing, pipelined, upsert
+from capture2vr.gateway.database.postgres_notify import can_notify
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.job import TERMINAL, Event, Job, Order, State
+from capture2vr.gateway.jobs.job_news import announce
+from capture2vr.gateway.jobs.queue_order import (
     by_oldest_job,
     earliest_start,
     oldest_ready,
@@ -31,7 +32,7 @@ from services.gateway.jobs.queue_order import (
     turns,
     waiting_queues,
 )
-from services.gateway.jobs.row_mapping import (
+from capture2vr.gateway.jobs.row_mapping import (
     WHOLE_JOB,
     event_from_row,
     event_values,
@@ -39,12 +40,11 @@ from services.gateway.jobs.row_mapping import (
     job_values,
     lease_values,
 )
-from services.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
-from services.gateway.jobs.tables import events, idempotency, jobs, leases, queue_turns
-from services.gateway.jobs.webhook_events import webhook_events
-from services.gateway.postgres_notify import can_notify
-from services.gateway.webhooks.outbox import enqueue, new_messages
-from services.storage.tenant_store import DEFAULT_TENANT
+from capture2vr.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
+from capture2vr.gateway.jobs.tables import events, idempotency, jobs, leases, queue_turns
+from capture2vr.gateway.jobs.webhook_events import webhook_events
+from capture2vr.gateway.webhooks.outbox import enqueue, new_messages
+from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
 _DELETED_AT_ONCE = 500  # jobs per statement: SQLite takes at most 999 values

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sqlalchemy as sa
 
-from services.gateway.database import metadata
-from services.storage.tenant_store import DEFAULT_TENANT
+from capture2vr.gateway.database.database import metadata
+from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 jobs = sa.Table(
     "jobs",

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from services.gateway.jobs import job as nouns
-from services.gateway.jobs.job import Job, State
-from services.gateway.webhooks.outbox import Event
+from capture2vr.gateway.jobs import job as nouns
+from capture2vr.gateway.jobs.job import Job, State
+from capture2vr.gateway.webhooks.outbox import Event
 
 _TOLD = {State.RUNNING, State.SUCCEEDED, State.FAILED, State.CANCELLED}
 

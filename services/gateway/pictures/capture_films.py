@@ -1,6 +1,6 @@
 """Find the films in a stored capture, and where their bytes lie in its archive: a browser reads a film by parts.
 
-An archive's files are stored without compression (`services.storage.archives.pack`), so a part of a film is a part of
+An archive's files are stored without compression (`capture2vr.process.archives.pack`), so a part of a film is a part of
 the archive.
 """
 
@@ -11,10 +11,10 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from services.gateway.errors import Problem
-from services.gateway.jobs.capture_objects import capture_name
-from services.gateway.pictures.capture_pictures import with_archive
-from services.storage.store import Store
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.capture_objects import capture_name
+from capture2vr.gateway.pictures.capture_pictures import with_archive
+from capture2vr.storage.store import Store
 
 _TYPES = {
     ".mp4": "video/mp4",

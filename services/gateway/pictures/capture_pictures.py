@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import PurePosixPath
 from typing import Any, TypeVar
 
-from services.gateway.errors import Problem
-from services.gateway.jobs.capture_objects import capture_name, unknown_capture
-from services.storage.store import Store
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.capture_objects import capture_name, unknown_capture
+from capture2vr.storage.store import Store
 
 T = TypeVar("T")
 

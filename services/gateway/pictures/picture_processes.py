@@ -9,10 +9,10 @@ from tempfile import TemporaryDirectory
 
 from anyio import CapacityLimiter
 
-from services.fork_client import ForkServer
-from services.gateway.errors import Problem, storage_full
-from services.gateway.forked_talk import talk
-from services.gateway.full_disk import is_disk_full
+from capture2vr.gateway.database.full_disk import is_disk_full
+from capture2vr.gateway.errors import Problem, storage_full
+from capture2vr.gateway.forked_talk import talk
+from capture2vr.process.fork_client import ForkServer
 
 _AT_ONCE = 2  # photos, each with up to 768 MB; and with its bytes here, up to 128 MB
 
@@ -22,7 +22,7 @@ class PictureProcesses:
 
     def __init__(self) -> None:
         self._at_once: CapacityLimiter | None = None
-        self._server = ForkServer.of("services.gateway.pictures.shrink_work")
+        self._server = ForkServer.of("capture2vr.gateway.pictures.shrink_work")
 
     def close(self) -> None:
         """End the server of the processes. Photos that are being shrunk are given up."""

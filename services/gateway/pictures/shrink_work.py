@@ -11,10 +11,10 @@ from typing import Any
 
 from PIL import Image, UnidentifiedImageError
 
-from services.fork_server import Send
-from services.gateway.full_disk import is_disk_full
-from services.gateway.uploads.image_checks import MAX_PIXELS, load_pillow
-from services.gateway.uploads.process_limits import limit_process
+from capture2vr.gateway.database.full_disk import is_disk_full
+from capture2vr.gateway.uploads.image_checks import MAX_PIXELS, load_pillow
+from capture2vr.gateway.uploads.process_limits import limit_process
+from capture2vr.process.fork_server import Send
 
 LONGEST_PX = 1024
 """Longer side of what is sent: enough to draw a line within a pixel of a phone's screen; 140 to 400 KB."""

@@ -19,11 +19,11 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.access.api_key import mask_keys
-from services.gateway.access.caller import Caller
-from services.gateway.database import for_writing
-from services.gateway.records.tables import audit_log
-from services.storage.tenant_store import DEFAULT_TENANT
+from capture2vr.gateway.access.api_key import mask_keys
+from capture2vr.gateway.access.caller import Caller
+from capture2vr.gateway.database.database import for_writing
+from capture2vr.gateway.records.tables import audit_log
+from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 _LOGINS = ("/v1/session", "/v1/pairings/claim")  # recorded without a key too: who tried to get in
 _EXPORTS = ("/archive", "/export")  # ends of paths that take data out

@@ -11,9 +11,9 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
-from services.gateway.database import for_writing
-from services.gateway.records.tables import deletions
-from services.storage.catalogue.deletion import DeletedObject
+from capture2vr.gateway.database.database import for_writing
+from capture2vr.gateway.records.tables import deletions
+from capture2vr.storage.catalogue.deletion import DeletedObject
 
 _PUBLIC = ("assets/", "collections/")  # what a CDN may hold
 

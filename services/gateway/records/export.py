@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from typing import Any
 
-from services.gateway.jobs.job import Job
-from services.storage.store import Head, Store, list_all
-from services.storage.tenant_store import FOLDER
+from capture2vr.gateway.jobs.job import Job
+from capture2vr.storage.store import Head, Store, list_all
+from capture2vr.storage.tenant_store import FOLDER
 
 _READ_BYTES = 4 << 20  # per request to the store; a document that may be replaced meanwhile is one request
 _JOBS_AT_ONCE = 200

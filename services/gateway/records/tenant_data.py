@@ -16,23 +16,23 @@ from typing import Any, TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.access.authentication import Authentication
-from services.gateway.access.readers import Thing
-from services.gateway.access.shares import ShareStore
-from services.gateway.access.usage import Usage
-from services.gateway.errors import Problem
-from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.capture_objects import delete_capture, list_captures
-from services.gateway.jobs.store import JobStore
-from services.gateway.records.deletions import Deletion, DeletionStore, receipt_of
-from services.gateway.resumable.store import UploadStore
-from services.gateway.webhooks.deliveries import Deliveries
-from services.gateway.webhooks.outbox import Event, Outbox
-from services.storage.catalogue.deletion import DeletedObject, delete_asset, delete_everything
-from services.storage.catalogue.entry import list_keys, read_entry
-from services.storage.catalogue.signing import Keys
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.authentication import Authentication
+from capture2vr.gateway.access.readers import Thing
+from capture2vr.gateway.access.shares import ShareStore
+from capture2vr.gateway.access.usage import Usage
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.capture_objects import delete_capture, list_captures
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.records.deletions import Deletion, DeletionStore, receipt_of
+from capture2vr.gateway.resumable.store import UploadStore
+from capture2vr.gateway.webhooks.deliveries import Deliveries
+from capture2vr.gateway.webhooks.outbox import Event, Outbox
+from capture2vr.storage.catalogue.deletion import DeletedObject, delete_asset, delete_everything
+from capture2vr.storage.catalogue.entry import list_keys, read_entry
+from capture2vr.storage.catalogue.signing import Keys
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 DAY_S = 86_400.0
 _PERIOD_S = 3_600.0  # between two looks for what has been kept long enough; days are what people count in

@@ -8,9 +8,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 
-from services.gateway.errors import Problem
-from services.gateway.resumable.store import Chunk
-from services.storage.store import Store, list_all
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.resumable.store import Chunk
+from capture2vr.storage.store import Store, list_all
 
 CHUNK_BYTES = 8 << 20
 """Bytes of a chunk: what a killed gateway can lose at most of what it received. S3 takes 0.1 s for so many."""

@@ -9,9 +9,9 @@ from collections.abc import Awaitable, Callable
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.resumable.uploads import ResumableUploads
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.resumable.uploads import ResumableUploads
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 KEEP_S = 86_400.0
 """Seconds for which an ended upload is remembered: who lost the last answer still learns the capture's id."""

@@ -16,9 +16,9 @@ from typing import Any
 
 from starlette.datastructures import Headers
 
-from services.gateway.errors import Problem
-from services.gateway.resumable.store import Upload
-from services.one_line import one_line
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.resumable.store import Upload
+from capture2vr.order.one_line import one_line
 
 VERSION = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,termination,checksum,expiration"

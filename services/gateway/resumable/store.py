@@ -15,8 +15,8 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
-from services.gateway.database import for_writing
-from services.gateway.resumable.tables import chunks, uploads
+from capture2vr.gateway.database.database import for_writing
+from capture2vr.gateway.resumable.tables import chunks, uploads
 
 LEASE_S = 30.0
 """Seconds for which a capture's making is leased; renewed while it goes on."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlalchemy as sa
 
-from services.gateway.database import metadata
+from capture2vr.gateway.database.database import metadata
 
 uploads = sa.Table(
     "uploads",

@@ -17,14 +17,14 @@ from typing import TypeVar
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.requests import ClientDisconnect
 
-from services.gateway.errors import Problem, storage_full
-from services.gateway.full_disk import is_disk_full
-from services.gateway.jobs.capture_objects import delete_unfinished, new_capture, put_private
-from services.gateway.resumable.chunk_objects import CHUNK_BYTES, chunk_name, delete_chunks, read_chunks
-from services.gateway.resumable.protocol import MEDIA_TYPE, Checksum
-from services.gateway.resumable.store import LEASE_S, Chunk, Upload, UploadStore
-from services.gateway.uploads.receive import UploadBody
-from services.storage.store import Store
+from capture2vr.gateway.database.full_disk import is_disk_full
+from capture2vr.gateway.errors import Problem, storage_full
+from capture2vr.gateway.jobs.capture_objects import delete_unfinished, new_capture, put_private
+from capture2vr.gateway.resumable.chunk_objects import CHUNK_BYTES, chunk_name, delete_chunks, read_chunks
+from capture2vr.gateway.resumable.protocol import MEDIA_TYPE, Checksum
+from capture2vr.gateway.resumable.store import LEASE_S, Chunk, Upload, UploadStore
+from capture2vr.gateway.uploads.receive import UploadBody
+from capture2vr.storage.store import Store
 
 _THREADS = 3  # that write chunks: more would take the cores from other requests, and send no faster
 _FORM_FIELDS = ("name", "collection")

@@ -11,13 +11,13 @@ from urllib.parse import urljoin
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from services.gateway.access.api_key import ApiKey
-from services.gateway.access.authentication import Authentication
-from services.gateway.access.caller import Caller, Scope, scope_names
-from services.gateway.access.store import Pairing
-from services.gateway.errors import Problem
-from services.gateway.qr_code import qr_svg
-from services.gateway.routes.access_rules import (
+from capture2vr.gateway.access.api_key import ApiKey
+from capture2vr.gateway.access.authentication import Authentication
+from capture2vr.gateway.access.caller import Caller, Scope, scope_names
+from capture2vr.gateway.access.store import Pairing
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.qr_code import qr_svg
+from capture2vr.gateway.routes.access_rules import (
     ANYONE,
     SESSION_COOKIE,
     TENANT_COOKIE,
@@ -26,9 +26,9 @@ from services.gateway.routes.access_rules import (
     caller_of,
     needs,
 )
-from services.gateway.routes.store_access import gateway_url
-from services.gateway.schemas import Label, StrictBody, TenantName, problems
-from services.storage.tenant_store import TENANT_PATTERN
+from capture2vr.gateway.routes.store_access import gateway_url
+from capture2vr.gateway.schemas import Label, StrictBody, TenantName, problems
+from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 router = APIRouter(prefix="/v1", tags=["access"])
 

@@ -12,11 +12,11 @@ from fastapi import Depends, Request
 from fastapi.routing import APIRoute
 from starlette.routing import BaseRoute
 
-from services.gateway.access.authentication import Authentication, refused
-from services.gateway.access.caller import Caller, Scope, scope_names
-from services.gateway.access.limits import TenantLimits
-from services.gateway.errors import Problem
-from services.gateway.schemas import problems
+from capture2vr.gateway.access.authentication import Authentication, refused
+from capture2vr.gateway.access.caller import Caller, Scope, scope_names
+from capture2vr.gateway.access.limits import TenantLimits
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.schemas import problems
 
 SESSION_COOKIE = "c2v_session"
 TENANT_COOKIE = "c2v_tenant"

@@ -13,21 +13,21 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import RedirectResponse
 from pydantic import BaseModel
 
-from services.gateway.access.caller import Scope
-from services.gateway.errors import Problem
-from services.gateway.jobs.collection_choice import require_collection
-from services.gateway.qr_code import qr_svg
-from services.gateway.routes.access_rules import authentication_of, caller_of, needs
-from services.gateway.routes.http_ranges import etag_matches
-from services.gateway.routes.read_rules import READS_ASSET, Reading, reading_of, unknown_asset
-from services.gateway.routes.store_access import gateway_url, in_thread, object_url, page_path, store_of
-from services.gateway.schemas import problems
-from services.gateway.webhooks.outbox import Event
-from services.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
-from services.storage.catalogue.faults import CatalogueFault
-from services.storage.catalogue.removal import remove, restore
-from services.storage.catalogue.signing import Keys
-from services.storage.store import NO_CACHE, Store
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.collection_choice import require_collection
+from capture2vr.gateway.qr_code import qr_svg
+from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.routes.http_ranges import etag_matches
+from capture2vr.gateway.routes.read_rules import READS_ASSET, Reading, reading_of, unknown_asset
+from capture2vr.gateway.routes.store_access import gateway_url, in_thread, object_url, page_path, store_of
+from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.webhooks.outbox import Event
+from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
+from capture2vr.storage.catalogue.faults import CatalogueFault
+from capture2vr.storage.catalogue.removal import remove, restore
+from capture2vr.storage.catalogue.signing import Keys
+from capture2vr.storage.store import NO_CACHE, Store
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 

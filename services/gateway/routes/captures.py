@@ -11,11 +11,11 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.gateway.access.caller import Scope
-from services.gateway.access.usage import Allowance
-from services.gateway.errors import Problem
-from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.capture_objects import (
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.usage import Allowance
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.capture_objects import (
     capture_bytes,
     capture_name,
     delete_capture,
@@ -25,13 +25,13 @@ from services.gateway.jobs.capture_objects import (
     read_receipt,
     unknown_capture,
 )
-from services.gateway.jobs.store import JobStore
-from services.gateway.photo_boxes import BoxQuery, parse_box
-from services.gateway.routes.access_rules import caller_of, limits_of, needs
-from services.gateway.routes.store_access import in_thread, store_of
-from services.gateway.schemas import problems
-from services.gateway.uploads.accept import Uploads
-from services.gateway.uploads.receive import body_of
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.photo_boxes import BoxQuery, parse_box
+from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
+from capture2vr.gateway.routes.store_access import in_thread, store_of
+from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.uploads.accept import Uploads
+from capture2vr.gateway.uploads.receive import body_of
 
 router = APIRouter(prefix="/v1", tags=["captures"])
 

@@ -14,19 +14,27 @@ from typing import Annotated, Literal, TypeVar
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel
 
-from services.gateway.errors import Problem
-from services.gateway.jobs.collection_choice import require_collection
-from services.gateway.routes.access_rules import ANYONE
-from services.gateway.routes.http_ranges import etag_matches
-from services.gateway.routes.read_rules import READS_COLLECTION, reading_of, reads_tenant, unknown_collection
-from services.gateway.routes.store_access import in_thread, object_url, page_path, store_of
-from services.gateway.schemas import problems
-from services.storage.catalogue.collection import Index, Row, Shard, index_name, load_shard, parse_envelope, read_index
-from services.storage.catalogue.entry import valid_key
-from services.storage.catalogue.reader import LoadRows, find_row, retry_if_shard_missing
-from services.storage.catalogue.row_filter import RowFilter
-from services.storage.store import NO_CACHE, Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.collection_choice import require_collection
+from capture2vr.gateway.routes.access_rules import ANYONE
+from capture2vr.gateway.routes.http_ranges import etag_matches
+from capture2vr.gateway.routes.read_rules import READS_COLLECTION, reading_of, reads_tenant, unknown_collection
+from capture2vr.gateway.routes.store_access import in_thread, object_url, page_path, store_of
+from capture2vr.gateway.schemas import problems
+from capture2vr.storage.catalogue.collection import (
+    Index,
+    Row,
+    Shard,
+    index_name,
+    load_shard,
+    parse_envelope,
+    read_index,
+)
+from capture2vr.storage.catalogue.entry import valid_key
+from capture2vr.storage.catalogue.reader import LoadRows, find_row, retry_if_shard_missing
+from capture2vr.storage.catalogue.row_filter import RowFilter
+from capture2vr.storage.store import NO_CACHE, Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 router = APIRouter(prefix="/v1", tags=["collections"])
 

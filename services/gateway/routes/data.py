@@ -10,19 +10,19 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, Field
 
-from services.gateway.access.caller import Caller, Scope
-from services.gateway.errors import Problem
-from services.gateway.jobs.store import JobStore
-from services.gateway.records.audit_log import AuditRecord
-from services.gateway.records.deletions import Deletion
-from services.gateway.records.export import export_blocks
-from services.gateway.records.tenant_data import Retention, TenantData
-from services.gateway.routes.access_rules import authentication_of, caller_of, needs
-from services.gateway.routes.assets import Key, check_key
-from services.gateway.routes.read_rules import unknown_asset
-from services.gateway.routes.store_access import in_thread, store_of, store_problems
-from services.gateway.schemas import StrictBody, TenantName, problems
-from services.storage.tenant_store import TENANT_PATTERN
+from capture2vr.gateway.access.caller import Caller, Scope
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.records.audit_log import AuditRecord
+from capture2vr.gateway.records.deletions import Deletion
+from capture2vr.gateway.records.export import export_blocks
+from capture2vr.gateway.records.tenant_data import Retention, TenantData
+from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.routes.assets import Key, check_key
+from capture2vr.gateway.routes.read_rules import unknown_asset
+from capture2vr.gateway.routes.store_access import in_thread, store_of, store_problems
+from capture2vr.gateway.schemas import StrictBody, TenantName, problems
+from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 router = APIRouter(prefix="/v1", tags=["data"])
 

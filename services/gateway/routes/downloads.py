@@ -9,18 +9,18 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import JSONResponse, RedirectResponse
 from pydantic import BaseModel
 
-from services.download_formats import FORMATS, DownloadFormat, formats_of
-from services.gateway.errors import Problem
-from services.gateway.routes.assets import Key, read_asset
-from services.gateway.routes.files import headers_alone
-from services.gateway.routes.read_rules import READS_ASSET, reading_of, reads_tenant
-from services.gateway.routes.store_access import in_thread, object_url, store_of, store_problems
-from services.gateway.routes.versions import read_asset_version
-from services.gateway.schemas import problems
-from services.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download
-from services.storage.catalogue.entry import Entry
-from services.storage.store import NO_CACHE, Store, list_all
-from services.storage.tenant_store import DEFAULT_TENANT
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.routes.assets import Key, read_asset
+from capture2vr.gateway.routes.files import headers_alone
+from capture2vr.gateway.routes.read_rules import READS_ASSET, reading_of, reads_tenant
+from capture2vr.gateway.routes.store_access import in_thread, object_url, store_of, store_problems
+from capture2vr.gateway.routes.versions import read_asset_version
+from capture2vr.gateway.schemas import problems
+from capture2vr.order.download_formats import FORMATS, DownloadFormat, formats_of
+from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download
+from capture2vr.storage.catalogue.entry import Entry
+from capture2vr.storage.store import NO_CACHE, Store, list_all
+from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 

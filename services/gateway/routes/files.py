@@ -14,14 +14,14 @@ import anyio
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse, StreamingResponse
 
-from services.gateway.errors import Problem
-from services.gateway.routes.http_ranges import etag_matches, take_range
-from services.gateway.routes.read_rules import READS_FILE, READS_FOLDER, Reading, reading_of, unknown_file
-from services.gateway.routes.store_access import in_thread
-from services.gateway.schemas import problems
-from services.storage.bundle import hash_in_name
-from services.storage.local import LocalStore
-from services.storage.store import NO_CACHE, Head, PresigningStore, Store
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.routes.http_ranges import etag_matches, take_range
+from capture2vr.gateway.routes.read_rules import READS_FILE, READS_FOLDER, Reading, reading_of, unknown_file
+from capture2vr.gateway.routes.store_access import in_thread
+from capture2vr.gateway.schemas import problems
+from capture2vr.storage.bundle import hash_in_name
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import NO_CACHE, Head, PresigningStore, Store
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 

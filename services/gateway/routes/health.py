@@ -12,17 +12,17 @@ from fastapi import APIRouter, Query, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.access.caller import Scope
-from services.gateway.database_faults import Fault, fault_of
-from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.store import JobStore
-from services.gateway.routes.access_rules import ANYONE, authenticate, needs
-from services.gateway.schemas import Check, Readiness, problems
-from services.gateway.scrub import ScrubState
-from services.gateway.snapshots import Snapshots
-from services.gateway.worker_client import WorkerPool
-from services.storage.local import LocalStore
-from services.storage.store import Store
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.backup.scrub import ScrubState
+from capture2vr.gateway.backup.snapshots import Snapshots
+from capture2vr.gateway.database_faults import Fault, fault_of
+from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.routes.access_rules import ANYONE, authenticate, needs
+from capture2vr.gateway.schemas import Check, Readiness, problems
+from capture2vr.gateway.workers.worker_client import WorkerPool
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import Store
 
 router = APIRouter(tags=["health"])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, MutableMapping
 
-from services.gateway.errors import Problem
+from capture2vr.gateway.errors import Problem
 
 _RANGE = re.compile(r"bytes\s*=\s*([0-9]{0,18})\s*-\s*([0-9]{0,18})", re.IGNORECASE)  # 18 digits: below 2^63
 _TAG = re.compile(r'(?:W/)?"([^"]*)"')

@@ -16,20 +16,18 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
-from services.asset_names import AssetNames
-from services.edits import InvalidEdits, json_schema
-from services.gateway.access.caller import Scope
-from services.gateway.errors import Problem
-from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.capture_objects import capture_bytes, unknown_capture
-from services.gateway.jobs.collection_choice import choose_collection
-from services.gateway.jobs.job import Event, Job, Order
-from services.gateway.jobs.state_machine import request_cancel
-from services.gateway.jobs.store import JOB_ID, JobStore
-from services.gateway.metrics import Metrics
-from services.gateway.photo_boxes import require_box
-from services.gateway.routes.access_rules import ANYONE, caller_of, limits_of, needs
-from services.gateway.routes.event_streams import (
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.capture_objects import capture_bytes, unknown_capture
+from capture2vr.gateway.jobs.collection_choice import choose_collection
+from capture2vr.gateway.jobs.job import Event, Job, Order
+from capture2vr.gateway.jobs.state_machine import request_cancel
+from capture2vr.gateway.jobs.store import JOB_ID, JobStore
+from capture2vr.gateway.metrics import Metrics
+from capture2vr.gateway.photo_boxes import require_box
+from capture2vr.gateway.routes.access_rules import ANYONE, caller_of, limits_of, needs
+from capture2vr.gateway.routes.event_streams import (
     HEARTBEAT_S,
     RECONNECT_MS,
     LastEventId,
@@ -37,12 +35,14 @@ from services.gateway.routes.event_streams import (
     stream_events,
     wait_for,
 )
-from services.gateway.routes.store_access import in_thread, store_of
-from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
-from services.gateway.worker_types import WorkerPreset
-from services.storage.catalogue.entry import read_entry, valid_key
-from services.storage.catalogue.faults import CatalogueFault
-from services.storage.store import Store
+from capture2vr.gateway.routes.store_access import in_thread, store_of
+from capture2vr.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
+from capture2vr.gateway.workers.worker_types import WorkerPreset
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.edits import InvalidEdits, json_schema
+from capture2vr.storage.catalogue.entry import read_entry, valid_key
+from capture2vr.storage.catalogue.faults import CatalogueFault
+from capture2vr.storage.store import Store
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 

@@ -7,13 +7,13 @@ from typing import Any
 from fastapi import APIRouter, Request
 from pydantic import BaseModel
 
-from services.gateway.access.caller import Scope
-from services.gateway.routes.access_rules import needs
-from services.gateway.routes.assets import Key, check_key
-from services.gateway.routes.read_rules import unknown_asset
-from services.gateway.routes.store_access import in_thread, store_of
-from services.gateway.schemas import Description, Label, Labels, StrictBody, problems
-from services.storage.catalogue.names_update import change_names
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.routes.access_rules import needs
+from capture2vr.gateway.routes.assets import Key, check_key
+from capture2vr.gateway.routes.read_rules import unknown_asset
+from capture2vr.gateway.routes.store_access import in_thread, store_of
+from capture2vr.gateway.schemas import Description, Label, Labels, StrictBody, problems
+from capture2vr.storage.catalogue.names_update import change_names
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 

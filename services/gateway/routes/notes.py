@@ -9,16 +9,16 @@ from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
-from services.asset_notes import NOTE_CHARS, Note, NoteRefused, Place, triple
-from services.gateway.access.caller import Scope
-from services.gateway.errors import Problem
-from services.gateway.routes.access_rules import authentication_of, caller_of, needs
-from services.gateway.routes.assets import Key, check_key, read_asset
-from services.gateway.routes.read_rules import READS_ASSET, reading_of, unknown_asset
-from services.gateway.routes.store_access import in_thread, store_of
-from services.gateway.schemas import StrictBody, problems
-from services.storage.catalogue.notes_update import UnknownNote, add_note, change_note, remove_note
-from services.storage.store import NO_CACHE
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.routes.assets import Key, check_key, read_asset
+from capture2vr.gateway.routes.read_rules import READS_ASSET, reading_of, unknown_asset
+from capture2vr.gateway.routes.store_access import in_thread, store_of
+from capture2vr.gateway.schemas import StrictBody, problems
+from capture2vr.storage.catalogue.asset_notes import NOTE_CHARS, Note, NoteRefused, Place, triple
+from capture2vr.storage.catalogue.notes_update import UnknownNote, add_note, change_note, remove_note
+from capture2vr.storage.store import NO_CACHE
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 

@@ -16,16 +16,16 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
-from services.gateway.browser_permissions import CAMERA_PAGE
-from services.gateway.errors import Problem
-from services.gateway.page_modules import name_modules
-from services.gateway.page_texts import LANGUAGES, SERVER_TEXTS, TEXTS, preferred_language, translate_page
-from services.gateway.routes.access_rules import ANYONE
-from services.gateway.schemas import problems
-from services.gateway.settings import GatewaySettings
-from services.storage.catalogue.entry import valid_key
-from services.storage.catalogue.scene import SCENE_ID
-from services.storage.store import PresigningStore, Store
+from capture2vr.gateway.browser_permissions import CAMERA_PAGE
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.page_modules import name_modules
+from capture2vr.gateway.page_texts import LANGUAGES, SERVER_TEXTS, TEXTS, preferred_language, translate_page
+from capture2vr.gateway.routes.access_rules import ANYONE
+from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.catalogue.entry import valid_key
+from capture2vr.storage.catalogue.scene import SCENE_ID
+from capture2vr.storage.store import PresigningStore, Store
 
 router = APIRouter(tags=["pages"])
 

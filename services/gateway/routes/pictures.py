@@ -9,15 +9,15 @@ from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel
 
-from services.gateway.access.caller import Scope
-from services.gateway.jobs.capture_objects import object_chunks, read_receipt
-from services.gateway.pictures.capture_films import films_in, find_film
-from services.gateway.pictures.capture_pictures import pictures_in, read_picture, with_archive
-from services.gateway.routes.access_rules import needs
-from services.gateway.routes.captures import CaptureId
-from services.gateway.routes.http_ranges import take_range
-from services.gateway.routes.store_access import in_thread, store_of
-from services.gateway.schemas import problems
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.jobs.capture_objects import object_chunks, read_receipt
+from capture2vr.gateway.pictures.capture_films import films_in, find_film
+from capture2vr.gateway.pictures.capture_pictures import pictures_in, read_picture, with_archive
+from capture2vr.gateway.routes.access_rules import needs
+from capture2vr.gateway.routes.captures import CaptureId
+from capture2vr.gateway.routes.http_ranges import take_range
+from capture2vr.gateway.routes.store_access import in_thread, store_of
+from capture2vr.gateway.schemas import problems
 
 router = APIRouter(prefix="/v1", tags=["captures"])
 

@@ -12,16 +12,16 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Query, Request
 
-from services.gateway.access.authentication import ANONYMOUS
-from services.gateway.access.caller import Caller, Scope
-from services.gateway.access.readers import Kind, Readers, ReadersCache, Thing
-from services.gateway.access.shares import Share
-from services.gateway.access.sharing import SCHEME, Sharing, ended
-from services.gateway.errors import Problem
-from services.gateway.routes.access_rules import Rule, authenticate, caller_of, missing_scope
-from services.storage.catalogue.visibility import Visibility, is_open
-from services.storage.store import NO_CACHE
-from services.storage.tenant_store import TENANT_PATTERN, tenant_of
+from capture2vr.gateway.access.authentication import ANONYMOUS
+from capture2vr.gateway.access.caller import Caller, Scope
+from capture2vr.gateway.access.readers import Kind, Readers, ReadersCache, Thing
+from capture2vr.gateway.access.shares import Share
+from capture2vr.gateway.access.sharing import SCHEME, Sharing, ended
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.routes.access_rules import Rule, authenticate, caller_of, missing_scope
+from capture2vr.storage.catalogue.visibility import Visibility, is_open
+from capture2vr.storage.store import NO_CACHE
+from capture2vr.storage.tenant_store import TENANT_PATTERN, tenant_of
 
 ANY_ORIGIN = {"Access-Control-Allow-Origin": "*", "Access-Control-Expose-Headers": "ETag, Content-Range, Accept-Ranges"}
 """CORS headers of answers that pages of any origin may read."""

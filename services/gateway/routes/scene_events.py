@@ -16,12 +16,12 @@ from fastapi import APIRouter, Query, Request
 from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
-from services.gateway.access.caller import Scope
-from services.gateway.access.limits import limited
-from services.gateway.access.readers import Thing
-from services.gateway.errors import RETRY_S, Problem
-from services.gateway.routes.access_rules import caller_of, needs
-from services.gateway.routes.event_streams import (
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.limits import limited
+from capture2vr.gateway.access.readers import Thing
+from capture2vr.gateway.errors import RETRY_S, Problem
+from capture2vr.gateway.routes.access_rules import caller_of, needs
+from capture2vr.gateway.routes.event_streams import (
     HEARTBEAT_S,
     RECONNECT_MS,
     LastEventId,
@@ -29,15 +29,15 @@ from services.gateway.routes.event_streams import (
     stream_events,
     wait_for,
 )
-from services.gateway.routes.read_rules import READS_SCENE, reading_of, still_reads_scene, unknown_scene
-from services.gateway.routes.scenes import SceneId, view_of
-from services.gateway.routes.store_access import store_problems
-from services.gateway.scenes.listener import Listener
-from services.gateway.scenes.moves import MovedItem, Moves
-from services.gateway.scenes.news import SceneNews
-from services.gateway.scenes.reads import SceneReads
-from services.gateway.schemas import problems
-from services.storage.catalogue.scene import Scene
+from capture2vr.gateway.routes.read_rules import READS_SCENE, reading_of, still_reads_scene, unknown_scene
+from capture2vr.gateway.routes.scenes import SceneId, view_of
+from capture2vr.gateway.routes.store_access import store_problems
+from capture2vr.gateway.scenes.listener import Listener
+from capture2vr.gateway.scenes.moves import MovedItem, Moves
+from capture2vr.gateway.scenes.news import SceneNews
+from capture2vr.gateway.scenes.reads import SceneReads
+from capture2vr.gateway.schemas import problems
+from capture2vr.storage.catalogue.scene import Scene
 
 router = APIRouter(prefix="/v1", tags=["scenes"])
 

@@ -11,16 +11,16 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Path, Query, Request, Response
 from pydantic import BaseModel
 
-from services.gateway.access.caller import Scope
-from services.gateway.access.readers import Thing
-from services.gateway.errors import Problem
-from services.gateway.routes.access_rules import authentication_of, caller_of, needs
-from services.gateway.routes.http_ranges import etag_matches
-from services.gateway.routes.read_rules import READS_SCENE, reading_of, unknown_scene
-from services.gateway.routes.store_access import in_thread, page_path, store_of
-from services.gateway.schemas import StrictBody, problems
-from services.storage.catalogue.scene import SCENE_ID, PlacedAsset, PlacedAssets, Scene, SceneName
-from services.storage.catalogue.scene_documents import (
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.readers import Thing
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.routes.http_ranges import etag_matches
+from capture2vr.gateway.routes.read_rules import READS_SCENE, reading_of, unknown_scene
+from capture2vr.gateway.routes.store_access import in_thread, page_path, store_of
+from capture2vr.gateway.schemas import StrictBody, problems
+from capture2vr.storage.catalogue.scene import SCENE_ID, PlacedAsset, PlacedAssets, Scene, SceneName
+from capture2vr.storage.catalogue.scene_documents import (
     MOST_SCENES,
     SceneChanged,
     TooManyScenes,
@@ -30,7 +30,7 @@ from services.storage.catalogue.scene_documents import (
     read_scene,
     replace_scene,
 )
-from services.storage.store import NO_CACHE
+from capture2vr.storage.store import NO_CACHE
 
 router = APIRouter(prefix="/v1", tags=["scenes"])
 

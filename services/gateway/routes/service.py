@@ -11,18 +11,18 @@ from pathlib import Path
 from fastapi import APIRouter, Request
 from pydantic import BaseModel
 
-import services
-from services.gateway.access.caller import Scope
-from services.gateway.jobs.job import Job, State
-from services.gateway.jobs.state_machine import RUNNING_STATES
-from services.gateway.jobs.store import JobStore
-from services.gateway.routes.access_rules import authentication_of, needs
-from services.gateway.routes.health import run_checks
-from services.gateway.schemas import Check
-from services.gateway.worker_client import WorkerPool
-from services.gateway.worker_types import WorkerStatus
-from services.storage.local import LocalStore
-from services.storage.store import Store
+import capture2vr
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.jobs.job import Job, State
+from capture2vr.gateway.jobs.state_machine import RUNNING_STATES
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.routes.access_rules import authentication_of, needs
+from capture2vr.gateway.routes.health import run_checks
+from capture2vr.gateway.schemas import Check
+from capture2vr.gateway.workers.worker_client import WorkerPool
+from capture2vr.gateway.workers.worker_types import WorkerStatus
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import Store
 
 router = APIRouter(prefix="/v1", tags=["access"])
 
@@ -114,7 +114,7 @@ async def get_service(request: Request) -> ServiceView:
         asyncio.to_thread(_disks, state.settings.data_dir, state.store),
     )
     return ServiceView(
-        version=services.__version__,
+        version=capture2vr.__version__,
         open=await authentication_of(request).is_open(),
         ready=all(check.ok for check in checks.values()),
         checks=checks,

@@ -11,20 +11,20 @@ from urllib.parse import urljoin
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from services.gateway.access.caller import Scope
-from services.gateway.access.readers import Kind, Thing
-from services.gateway.access.shares import SHARE_ID, Mode, Share
-from services.gateway.access.sharing import COOKIE_PREFIX, Sharing
-from services.gateway.errors import Problem
-from services.gateway.qr_code import qr_svg
-from services.gateway.routes.access import Days, utc, utc_or_none
-from services.gateway.routes.access_rules import ANYONE, authentication_of, caller_of, needs
-from services.gateway.routes.read_rules import unknown_asset, unknown_collection, unknown_scene
-from services.gateway.routes.store_access import gateway_url, in_thread, path_of_tenant, store_of
-from services.gateway.schemas import Label, StrictBody, problems
-from services.storage.catalogue.collection import index_name
-from services.storage.catalogue.entry import entry_name, valid_key
-from services.storage.catalogue.scene_documents import scene_name
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.readers import Kind, Thing
+from capture2vr.gateway.access.shares import SHARE_ID, Mode, Share
+from capture2vr.gateway.access.sharing import COOKIE_PREFIX, Sharing
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.qr_code import qr_svg
+from capture2vr.gateway.routes.access import Days, utc, utc_or_none
+from capture2vr.gateway.routes.access_rules import ANYONE, authentication_of, caller_of, needs
+from capture2vr.gateway.routes.read_rules import unknown_asset, unknown_collection, unknown_scene
+from capture2vr.gateway.routes.store_access import gateway_url, in_thread, path_of_tenant, store_of
+from capture2vr.gateway.schemas import Label, StrictBody, problems
+from capture2vr.storage.catalogue.collection import index_name
+from capture2vr.storage.catalogue.entry import entry_name, valid_key
+from capture2vr.storage.catalogue.scene_documents import scene_name
 
 router = APIRouter(prefix="/v1", tags=["shares"])
 

@@ -10,11 +10,11 @@ from urllib.parse import urljoin
 import anyio.to_thread
 from fastapi import Request
 
-from services.gateway.errors import Problem
-from services.gateway.routes.read_rules import reads_tenant
-from services.storage.catalogue.faults import CatalogueFault
-from services.storage.store import Store
-from services.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.routes.read_rules import reads_tenant
+from capture2vr.storage.catalogue.faults import CatalogueFault
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
 
 _T = TypeVar("_T")
 

@@ -8,14 +8,14 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Request
 from pydantic import BaseModel, Field
 
-from services.gateway.access.caller import Scope
-from services.gateway.access.limits import TenantLimits
-from services.gateway.access.store import Tenant
-from services.gateway.errors import Problem
-from services.gateway.jobs.store import JobStore
-from services.gateway.routes.access_rules import authentication_of, caller_of, limits_of, needs
-from services.gateway.schemas import Label, StrictBody, TenantName, problems
-from services.storage.tenant_store import TENANT_PATTERN
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.limits import TenantLimits
+from capture2vr.gateway.access.store import Tenant
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, limits_of, needs
+from capture2vr.gateway.schemas import Label, StrictBody, TenantName, problems
+from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 router = APIRouter(prefix="/v1", tags=["access"])
 

@@ -13,21 +13,21 @@ from typing import Annotated, Any
 from fastapi import APIRouter, BackgroundTasks, Depends, Path, Request, Response
 from fastapi.routing import APIRoute
 
-from services.gateway.access.caller import Scope
-from services.gateway.access.limits import limited
-from services.gateway.errors import Problem
-from services.gateway.jobs.capture_objects import is_stored, read_receipt
-from services.gateway.photo_boxes import BoxQuery, parse_box
-from services.gateway.resumable import protocol
-from services.gateway.resumable.store import Upload
-from services.gateway.resumable.uploads import Part, ResumableUploads, content_of, too_long
-from services.gateway.routes.access_rules import caller_of, limits_of, needs
-from services.gateway.routes.captures import CaptureView, Continues, uploads_of
-from services.gateway.routes.store_access import in_thread, store_of
-from services.gateway.schemas import problems
-from services.gateway.uploads.receive import batches, require_media_type
-from services.photo_box import PhotoBox
-from services.storage.store import Store
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.limits import limited
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.capture_objects import is_stored, read_receipt
+from capture2vr.gateway.photo_boxes import BoxQuery, parse_box
+from capture2vr.gateway.resumable import protocol
+from capture2vr.gateway.resumable.store import Upload
+from capture2vr.gateway.resumable.uploads import Part, ResumableUploads, content_of, too_long
+from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
+from capture2vr.gateway.routes.captures import CaptureView, Continues, uploads_of
+from capture2vr.gateway.routes.store_access import in_thread, store_of
+from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.uploads.receive import batches, require_media_type
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.storage.store import Store
 
 _MOST_UNFINISHED = 1_000  # uploads of a tenant: a row each; a walk of 2,000 photos is one upload
 _RETRY_S = 60

@@ -9,16 +9,16 @@ from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
-from services.gateway.access.caller import Scope
-from services.gateway.errors import Problem
-from services.gateway.routes.access_rules import authentication_of, caller_of, needs
-from services.gateway.routes.assets import Key, add_urls, check_key
-from services.gateway.routes.read_rules import unknown_asset
-from services.gateway.routes.store_access import in_thread, store_of
-from services.gateway.schemas import problems
-from services.gateway.webhooks.outbox import Event
-from services.storage.catalogue.entry import Entry
-from services.storage.catalogue.versions import UnknownVersion, read_version, restore_version
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.routes.assets import Key, add_urls, check_key
+from capture2vr.gateway.routes.read_rules import unknown_asset
+from capture2vr.gateway.routes.store_access import in_thread, store_of
+from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.webhooks.outbox import Event
+from capture2vr.storage.catalogue.entry import Entry
+from capture2vr.storage.catalogue.versions import UnknownVersion, read_version, restore_version
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 

@@ -7,17 +7,17 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Request
 from pydantic import BaseModel, Field
 
-from services.gateway.access.caller import Scope
-from services.gateway.access.readers import Kind, Readers, ReadersCache, Thing
-from services.gateway.errors import Problem
-from services.gateway.jobs.collection_choice import require_collection
-from services.gateway.routes.access_rules import caller_of, needs
-from services.gateway.routes.read_rules import unknown_asset, unknown_collection
-from services.gateway.routes.store_access import in_thread, page_path, store_of
-from services.gateway.schemas import StrictBody, problems
-from services.storage.catalogue.entry import valid_key
-from services.storage.catalogue.visibility import Visibility
-from services.storage.catalogue.visibility_update import set_asset_visibility, set_collection_visibility
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.readers import Kind, Readers, ReadersCache, Thing
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.collection_choice import require_collection
+from capture2vr.gateway.routes.access_rules import caller_of, needs
+from capture2vr.gateway.routes.read_rules import unknown_asset, unknown_collection
+from capture2vr.gateway.routes.store_access import in_thread, page_path, store_of
+from capture2vr.gateway.schemas import StrictBody, problems
+from capture2vr.storage.catalogue.entry import valid_key
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.catalogue.visibility_update import set_asset_visibility, set_collection_visibility
 
 router = APIRouter(prefix="/v1", tags=["visibility"])
 

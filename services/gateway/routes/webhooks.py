@@ -9,13 +9,13 @@ import httpx
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from services.gateway.access.caller import Scope
-from services.gateway.errors import Problem
-from services.gateway.routes.access_rules import authentication_of, caller_of, needs
-from services.gateway.schemas import Label, StrictBody, problems
-from services.gateway.webhooks.outbox import Message
-from services.gateway.webhooks.send import Refused
-from services.gateway.webhooks.store import Webhook, WebhookStore
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.schemas import Label, StrictBody, problems
+from capture2vr.gateway.webhooks.outbox import Message
+from capture2vr.gateway.webhooks.send import Refused
+from capture2vr.gateway.webhooks.store import Webhook, WebhookStore
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field
 
-from services.gateway.scenes.moves import MovedItem, Moves
-from services.storage.catalogue.scene import MOST_ITEMS
+from capture2vr.gateway.scenes.moves import MovedItem, Moves
+from capture2vr.storage.catalogue.scene import MOST_ITEMS
 
 
 @dataclass(slots=True, eq=False)

@@ -16,11 +16,11 @@ from contextlib import contextmanager
 from sqlalchemy.engine import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.access.readers import ReadersCache, Thing
-from services.gateway.postgres_notify import can_notify, notify
-from services.gateway.scenes.listener import Listener
-from services.gateway.scenes.moves import Moves, moves_as_json, moves_from_json
-from services.gateway.scenes.reads import SceneReads
+from capture2vr.gateway.access.readers import ReadersCache, Thing
+from capture2vr.gateway.database.postgres_notify import can_notify, notify
+from capture2vr.gateway.scenes.listener import Listener
+from capture2vr.gateway.scenes.moves import Moves, moves_as_json, moves_from_json
+from capture2vr.gateway.scenes.reads import SceneReads
 
 CHANNEL = "capture2vr_scenes"
 """Where gateways tell each other."""

@@ -7,11 +7,11 @@ import asyncio
 import anyio.to_thread
 from cachetools import TTLCache
 
-from services.gateway.access.readers import Thing
-from services.storage.catalogue.scene import Scene
-from services.storage.catalogue.scene_documents import read_scene
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.readers import Thing
+from capture2vr.storage.catalogue.scene import Scene
+from capture2vr.storage.catalogue.scene_documents import read_scene
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 _FRESH_S = 5.0  # a change that nobody told of, written past this gateway, is seen at a listener's next look after that
 _CACHED = 1_000

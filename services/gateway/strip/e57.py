@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
-from services.gateway.strip.in_place import MOST_PARTS, Buffer, CleanResult, UnreadableError, unique_names
+from capture2vr.gateway.strip.in_place import MOST_PARTS, Buffer, CleanResult, UnreadableError, unique_names
 
 _HEADER = struct.Struct("<8s2I4Q")  # magic, version, length of the file, offset and length of the XML, page size
 _PAGE, _PAYLOAD = 1024, 1020

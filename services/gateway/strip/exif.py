@@ -2,7 +2,7 @@
 
 An allow list, so that a maker's new private tags are removed too. The rebuilt block is padded with zeros to the old
 length, so that it replaces the old one in place. Which way was down stays: the camera's elevation, and of an iPhone's
-maker note the acceleration alone (`services/apple_maker_note.py`). It tells nothing about a person or a place, and
+maker note the acceleration alone (apple_maker_note.py). It tells nothing about a person or a place, and
 without it the reconstruction must guess what is upright.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
-from services.apple_maker_note import acceleration_note
+from capture2vr.order.apple_maker_note import acceleration_note
 
 _EXIF_IFD = 0x8769
 _MAKER_NOTE, _UNDEFINED = 0x927C, 7  # tag, and its field type

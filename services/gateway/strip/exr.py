@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
-from services.gateway.strip.in_place import (
+from capture2vr.gateway.strip.in_place import (
     MOST_PARTS,
     Buffer,
     CleanResult,

@@ -6,9 +6,9 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from services.gateway.strip import mp4
-from services.gateway.strip.exif import clean_exif
-from services.gateway.strip.in_place import (
+from capture2vr.gateway.strip import mp4
+from capture2vr.gateway.strip.exif import clean_exif
+from capture2vr.gateway.strip.in_place import (
     Buffer,
     CleanResult,
     UnreadableError,
@@ -17,7 +17,7 @@ from services.gateway.strip.in_place import (
     read_metadata,
     unique_names,
 )
-from services.gateway.strip.iso_boxes import Box, boxes, find, free_box
+from capture2vr.gateway.strip.iso_boxes import Box, boxes, find, free_box
 
 _ALLOWED_BOXES = {b"ftyp", b"meta", b"mdat", b"moov"}
 _ALLOWED_IN_META = {b"hdlr", b"pitm", b"iinf", b"iloc", b"iref", b"iprp", b"ipro", b"idat", b"dinf", b"grpl"}

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from services.gateway.strip.in_place import MOST_PARTS, Buffer, UnreadableError, blank
+from capture2vr.gateway.strip.in_place import MOST_PARTS, Buffer, UnreadableError, blank
 
 
 @dataclass(frozen=True, slots=True)

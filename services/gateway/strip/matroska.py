@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError, blank, is_blank, unique_names
+from capture2vr.gateway.strip.in_place import Buffer, CleanResult, UnreadableError, blank, is_blank, unique_names
 
 _EBML, _SEGMENT, _INFO, _TRACKS, _CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
 _TRACK, _NUMBER, _TYPE, _GROUP, _BLOCK, _SIMPLE_BLOCK = 0xAE, 0xD7, 0x83, 0xA0, 0xA1, 0xA3

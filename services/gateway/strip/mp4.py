@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from services.gateway.strip.in_place import (
+from capture2vr.gateway.strip.in_place import (
     MOST_PARTS,
     Buffer,
     CleanResult,
@@ -22,7 +22,7 @@ from services.gateway.strip.in_place import (
     is_blank,
     unique_names,
 )
-from services.gateway.strip.iso_boxes import Box, boxes, find, free_box
+from capture2vr.gateway.strip.iso_boxes import Box, boxes, find, free_box
 
 _UNUSED = {b"free", b"skip", b"wide"}
 # Boxes that stay, by parent (ISO/IEC 14496-12, QuickTime File Format). Boxes that are no key here are not opened.

@@ -6,8 +6,8 @@ import struct
 import zlib
 from collections.abc import Iterator
 
-from services.gateway.strip.exif import clean_exif
-from services.gateway.strip.in_place import (
+from capture2vr.gateway.strip.exif import clean_exif
+from capture2vr.gateway.strip.in_place import (
     MOST_PARTS,
     Buffer,
     CleanResult,

@@ -7,8 +7,8 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from services.gateway.strip.exif import ALLOWED_EXIF_TAGS, BrokenExifError, byte_order, field_bytes, tag_name
-from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError, blank_all, unique_names
+from capture2vr.gateway.strip.exif import ALLOWED_EXIF_TAGS, BrokenExifError, byte_order, field_bytes, tag_name
+from capture2vr.gateway.strip.in_place import Buffer, CleanResult, UnreadableError, blank_all, unique_names
 
 # A deny list for the tags of the standard: they also say where the pixels are, in more ways than an allow list would
 # cover. Description, names of document, page and printer, artist, computer, XMP.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from services.gateway.strip.exif import clean_exif
-from services.gateway.strip.in_place import (
+from capture2vr.gateway.strip.exif import clean_exif
+from capture2vr.gateway.strip.in_place import (
     MOST_PARTS,
     Buffer,
     CleanResult,

@@ -19,21 +19,21 @@ import anyio.to_thread
 from anyio import CapacityLimiter
 from starlette.requests import ClientDisconnect, Request
 
-from services.gateway.errors import Problem, storage_full
-from services.gateway.full_disk import is_disk_full
-from services.gateway.jobs.capture_objects import capture_name, put_private, receipt_name, unknown_capture
-from services.gateway.jobs.collection_choice import require_collection
-from services.gateway.settings import GatewaySettings
-from services.gateway.uploads.check_and_pack import CheckOrder, earlier_archive_of
-from services.gateway.uploads.check_processes import CheckProcesses
-from services.gateway.uploads.receive import ReceivedUpload, UploadBody, UploadLimits, body_of, receive
-from services.gateway.uploads.refusal import Refused
-from services.gateway.uploads.validate import FileReport
-from services.gateway.worker_client import Inspection, WorkerPool
-from services.one_line import one_line
-from services.photo_box import PhotoBox
-from services.storage.store import Store
-from services.traces import capture_span
+from capture2vr.gateway.database.full_disk import is_disk_full
+from capture2vr.gateway.errors import Problem, storage_full
+from capture2vr.gateway.jobs.capture_objects import capture_name, put_private, receipt_name, unknown_capture
+from capture2vr.gateway.jobs.collection_choice import require_collection
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.gateway.uploads.check_and_pack import CheckOrder, earlier_archive_of
+from capture2vr.gateway.uploads.check_processes import CheckProcesses
+from capture2vr.gateway.uploads.receive import ReceivedUpload, UploadBody, UploadLimits, body_of, receive
+from capture2vr.gateway.uploads.refusal import Refused
+from capture2vr.gateway.uploads.validate import FileReport
+from capture2vr.gateway.workers.worker_client import Inspection, WorkerPool
+from capture2vr.order.one_line import one_line
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.process.traces import capture_span
+from capture2vr.storage.store import Store
 
 _WRITERS = 8  # threads: writing to disk is mostly waiting
 _COPIES = 3  # of an upload on the disk at worst: as received, unpacked, packed

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
-from services.gateway.uploads.file_names import unique_name
-from services.gateway.uploads.refusal import Refused, too_many_files
-from services.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
+from capture2vr.gateway.uploads.file_names import unique_name
+from capture2vr.gateway.uploads.refusal import Refused, too_many_files
+from capture2vr.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
 
 _ALLOWED = IMAGES | {Kind.UNKNOWN, Kind.RAW, Kind.SIDECAR}  # these are left out, as in any upload
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.gateway.uploads.add_photos import add_photos
-from services.gateway.uploads.refusal import SEND_FEWER, Refused, too_many_files
-from services.gateway.uploads.validate import FileReport, validate
-from services.storage.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
+from capture2vr.gateway.uploads.add_photos import add_photos
+from capture2vr.gateway.uploads.refusal import SEND_FEWER, Refused, too_many_files
+from capture2vr.gateway.uploads.validate import FileReport, validate
+from capture2vr.process.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
 
 _ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
 

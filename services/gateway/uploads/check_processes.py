@@ -9,12 +9,12 @@ from typing import Any
 
 from anyio import CapacityLimiter
 
-from services.fork_client import ForkServer
-from services.gateway.errors import Problem, storage_full
-from services.gateway.forked_talk import talk
-from services.gateway.uploads.check_and_pack import CheckOrder, PackedFiles, archive_of
-from services.gateway.uploads.refusal import SEND_FEWER
-from services.gateway.uploads.validate import FileReport
+from capture2vr.gateway.errors import Problem, storage_full
+from capture2vr.gateway.forked_talk import talk
+from capture2vr.gateway.uploads.check_and_pack import CheckOrder, PackedFiles, archive_of
+from capture2vr.gateway.uploads.refusal import SEND_FEWER
+from capture2vr.gateway.uploads.validate import FileReport
+from capture2vr.process.fork_client import ForkServer
 
 _AT_ONCE = 4  # checks, each with up to 768 MB; more would slow each other down on a small machine
 # Signals by which the kernel ends a check that has used up its processor time, its time on the clock, or all memory.
@@ -26,7 +26,7 @@ class CheckProcesses:
 
     def __init__(self, server: ForkServer | None = None) -> None:
         self._at_once: CapacityLimiter | None = None
-        self._server = server or ForkServer.of("services.gateway.uploads.check_work")
+        self._server = server or ForkServer.of("capture2vr.gateway.uploads.check_work")
 
     def start(self) -> None:
         """Load all that a check needs now, so that the first upload need not wait for it."""

@@ -10,13 +10,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from services.fork_server import Send
-from services.gateway.full_disk import is_disk_full
-from services.gateway.uploads.check_and_pack import CheckOrder, check_and_pack, earlier_archive_of
-from services.gateway.uploads.image_checks import load_pillow
-from services.gateway.uploads.process_limits import limit_process
-from services.gateway.uploads.refusal import Refused
-from services.storage.archives import is_zip
+from capture2vr.gateway.database.full_disk import is_disk_full
+from capture2vr.gateway.uploads.check_and_pack import CheckOrder, check_and_pack, earlier_archive_of
+from capture2vr.gateway.uploads.image_checks import load_pillow
+from capture2vr.gateway.uploads.process_limits import limit_process
+from capture2vr.gateway.uploads.refusal import Refused
+from capture2vr.process.archives import is_zip
+from capture2vr.process.fork_server import Send
 
 # Of processor time, beside what files of this number and size may take: 12 megapixels are checked in 60 ms.
 _LEAST_SECONDS, _SECONDS_PER_FILE, _SECONDS_PER_GB = 10.0, 0.02, 100.0

@@ -10,9 +10,9 @@ from types import ModuleType
 
 from PIL import Image, UnidentifiedImageError
 
-from services.gateway.strip import exr, jpeg, png
-from services.gateway.strip.in_place import Buffer, UnreadableError
-from services.gateway.uploads.sniff import Kind
+from capture2vr.gateway.strip import exr, jpeg, png
+from capture2vr.gateway.strip.in_place import Buffer, UnreadableError
+from capture2vr.gateway.uploads.sniff import Kind
 
 MAX_PIXELS = 100_000_000  # 300 MB decoded; phones' largest sensors have 200 megapixels, binned to 12 or 50
 _MAX_DECODED_PIXELS = 24_000_000  # larger images are not decoded fully: 72 MB each, on two threads

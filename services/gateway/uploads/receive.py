@@ -16,9 +16,9 @@ from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import ClientDisconnect, Request
 
-from services.gateway.errors import Problem
-from services.gateway.uploads.file_names import safe_name, unique_name
-from services.gateway.uploads.refusal import SEND_FEWER, too_many_files
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.uploads.file_names import safe_name, unique_name
+from capture2vr.gateway.uploads.refusal import SEND_FEWER, too_many_files
 
 # Bytes per write in a thread: 32 uploads hold 8 MB, and switching threads costs 1 % of the write.
 _BATCH_BYTES = 256 << 10

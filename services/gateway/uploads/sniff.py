@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from pathlib import PurePosixPath
 
-from services.raw_photos import is_raw_photo
+from capture2vr.order.raw_photos import is_raw_photo
 
 HEAD_BYTES = 64  # enough for every magic number below
 

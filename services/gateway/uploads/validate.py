@@ -9,12 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from services.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
-from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
-from services.gateway.uploads.image_checks import MAX_PIXELS, TooLargeError, check_image, map_file
-from services.gateway.uploads.refusal import Refused
-from services.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
-from services.raw_photos import is_raw_photo
+from capture2vr.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
+from capture2vr.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
+from capture2vr.gateway.uploads.image_checks import MAX_PIXELS, TooLargeError, check_image, map_file
+from capture2vr.gateway.uploads.refusal import Refused
+from capture2vr.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
+from capture2vr.order.raw_photos import is_raw_photo
 
 _CLEANERS: dict[Kind, Callable[[Buffer], CleanResult]] = {
     Kind.JPEG: jpeg.clean,

@@ -13,8 +13,8 @@ from typing import TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.webhooks.outbox import Delivery, Outbox
-from services.gateway.webhooks.send import Outcome, Sender
+from capture2vr.gateway.webhooks.outbox import Delivery, Outbox
+from capture2vr.gateway.webhooks.send import Outcome, Sender
 
 _AT_ONCE = 16  # a receiver that never answers holds its own place for a quarter of a minute; see PLACES_A_TENANT
 _POLL_S = 1.0  # between looks at the outbox, which other gateways fill too

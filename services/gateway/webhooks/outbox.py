@@ -16,8 +16,8 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 
-from services.gateway.database import for_writing, insert_if_absent
-from services.gateway.webhooks.tables import messages, webhooks
+from capture2vr.gateway.database.database import for_writing, insert_if_absent
+from capture2vr.gateway.webhooks.tables import messages, webhooks
 
 EVENTS = (
     "job.running",

@@ -17,8 +17,8 @@ from datetime import UTC, datetime
 import httpx
 from standardwebhooks import Webhook
 
-import services
-from services.gateway.webhooks.outbox import Delivery
+import capture2vr
+from capture2vr.gateway.webhooks.outbox import Delivery
 
 TIMEOUT_S = 15.0
 """Seconds for a whole attempt, from the look-up to the answer."""
@@ -84,7 +84,7 @@ class Sender:
         headers = {
             "Host": url.netloc.decode("ascii"),
             "Content-Type": "application/json",
-            "User-Agent": f"capture2vr/{services.__version__}",
+            "User-Agent": f"capture2vr/{capture2vr.__version__}",
             "webhook-id": message.id,
             "webhook-timestamp": str(int(now.timestamp())),
             "webhook-signature": " ".join(signatures),

@@ -12,9 +12,9 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
-from services.gateway.database import for_writing
-from services.gateway.webhooks.outbox import TEST_EVENT, Event, Message, message_from_row, new_message, payload_of
-from services.gateway.webhooks.tables import messages, webhooks
+from capture2vr.gateway.database.database import for_writing
+from capture2vr.gateway.webhooks.outbox import TEST_EVENT, Event, Message, message_from_row, new_message, payload_of
+from capture2vr.gateway.webhooks.tables import messages, webhooks
 
 OLD_SECRET_S = 86_400.0
 """Seconds for which messages are signed with the old secret too, after a rotation."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from services.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
-from services.storage.catalogue.entry import Entry, check_key, entry_name, read_entry
-from services.storage.catalogue.signing import Keys
-from services.storage.catalogue.unity_update import update_unity_catalogues
-from services.storage.catalogue.update import update_collections
-from services.storage.store import Store
+from capture2vr.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
+from capture2vr.storage.catalogue.entry import Entry, check_key, entry_name, read_entry
+from capture2vr.storage.catalogue.signing import Keys
+from capture2vr.storage.catalogue.unity_update import update_unity_catalogues
+from capture2vr.storage.catalogue.update import update_collections
+from capture2vr.storage.store import Store
 
 
 def change_entry(store: Store, key: str, keys: Keys, changes: Callable[[Entry, str], Mapping[str, Any]]) -> Entry:

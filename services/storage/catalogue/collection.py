@@ -17,10 +17,10 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from services.storage.bundle import content_name, sha256_hex
-from services.storage.catalogue.compare_and_swap import canonical_json
-from services.storage.catalogue.entry import Entry, check_collection, check_key
-from services.storage.catalogue.faults import (
+from capture2vr.storage.bundle import content_name, sha256_hex
+from capture2vr.storage.catalogue.compare_and_swap import canonical_json
+from capture2vr.storage.catalogue.entry import Entry, check_collection, check_key
+from capture2vr.storage.catalogue.faults import (
     CATALOGUE_OLDER,
     CATALOGUE_OTHER,
     CATALOGUE_TRUNCATED,
@@ -28,9 +28,9 @@ from services.storage.catalogue.faults import (
     SHARD_MISSING,
     CatalogueFault,
 )
-from services.storage.catalogue.signing import PublicKey, Signature, Signer, check_signatures
-from services.storage.catalogue.visibility import Visibility, parse_visibility
-from services.storage.store import Store
+from capture2vr.storage.catalogue.signing import PublicKey, Signature, Signer, check_signatures
+from capture2vr.storage.catalogue.visibility import Visibility, parse_visibility
+from capture2vr.storage.store import Store
 
 SCHEMA = 1
 SHARD_ROWS = 1000  # rows of one shard at most: about 140 KB, which is what one update rewrites

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import TypeVar
 
-from services.storage.bundle import Json
-from services.storage.store import NO_CACHE, ConditionFailed, Store
+from capture2vr.storage.bundle import Json
+from capture2vr.storage.store import NO_CACHE, ConditionFailed, Store
 
 _T = TypeVar("_T")
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from services.storage.catalogue.collection import index_name
-from services.storage.catalogue.entry import alias_name, check_key, entry_name
-from services.storage.catalogue.removal import remove
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.catalogue.update import empty, remove_row
-from services.storage.store import Head, Store, list_all
-from services.storage.tenant_store import FOLDER
+from capture2vr.storage.catalogue.collection import index_name
+from capture2vr.storage.catalogue.entry import alias_name, check_key, entry_name
+from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.catalogue.update import empty, remove_row
+from capture2vr.storage.store import Head, Store, list_all
+from capture2vr.storage.tenant_store import FOLDER
 
 _COLLECTIONS = "collections/"
 

@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.download_formats import WRITERS, DownloadFormat
-from services.storage.bundle import content_name, content_type, hash_in_name, sha256_hex
-from services.storage.catalogue.compare_and_swap import canonical_json
-from services.storage.catalogue.entry import check_key, entry_name
-from services.storage.store import Store
+from capture2vr.order.download_formats import WRITERS, DownloadFormat
+from capture2vr.storage.bundle import content_name, content_type, hash_in_name, sha256_hex
+from capture2vr.storage.catalogue.compare_and_swap import canonical_json
+from capture2vr.storage.catalogue.entry import check_key, entry_name
+from capture2vr.storage.store import Store
 
 
 @dataclass(frozen=True, slots=True)

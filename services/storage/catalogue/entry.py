@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from services.asset_names import AssetNames
-from services.asset_notes import Note, notes_of
-from services.storage.bundle import Json
-from services.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
-from services.storage.catalogue.visibility import Visibility, parse_visibility
-from services.storage.store import Head, Store
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.bundle import Json
+from capture2vr.storage.catalogue.asset_notes import Note, notes_of
+from capture2vr.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
+from capture2vr.storage.catalogue.visibility import Visibility, parse_visibility
+from capture2vr.storage.store import Head, Store
 
 _KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _FIELDS = {

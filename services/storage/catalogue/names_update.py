@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from services.storage.catalogue.change_entry import change_entry
-from services.storage.catalogue.entry import Entry
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.store import Store
+from capture2vr.storage.catalogue.change_entry import change_entry
+from capture2vr.storage.catalogue.entry import Entry
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.store import Store
 
 
 def change_names(store: Store, key: str, keys: Keys = NO_KEYS, **changes: Any) -> Entry:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from services.asset_notes import MOST_NOTES, Note, NoteRefused, Place, check_place, check_text, unit
-from services.storage.catalogue.change_entry import change_entry
-from services.storage.catalogue.entry import Entry
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.store import Store
+from capture2vr.storage.catalogue.asset_notes import MOST_NOTES, Note, NoteRefused, Place, check_place, check_text, unit
+from capture2vr.storage.catalogue.change_entry import change_entry
+from capture2vr.storage.catalogue.entry import Entry
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.store import Store
 
 
 class UnknownNote(LookupError):  # noqa: N818 - a mistake of who asks

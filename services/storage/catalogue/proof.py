@@ -10,10 +10,10 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from services.storage.catalogue.compare_and_swap import canonical_json
-from services.storage.catalogue.entry import entry_name
-from services.storage.catalogue.faults import CATALOGUE_OLDER, CATALOGUE_OTHER, SIGNATURE_MISSING, CatalogueFault
-from services.storage.catalogue.signing import PublicKey, Signer, check_signatures
+from capture2vr.storage.catalogue.compare_and_swap import canonical_json
+from capture2vr.storage.catalogue.entry import entry_name
+from capture2vr.storage.catalogue.faults import CATALOGUE_OLDER, CATALOGUE_OTHER, SIGNATURE_MISSING, CatalogueFault
+from capture2vr.storage.catalogue.signing import PublicKey, Signer, check_signatures
 
 SCHEMA = 1
 

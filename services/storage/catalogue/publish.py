@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from services.asset_names import AssetNames
-from services.asset_notes import carry
-from services.storage.bundle import Bundle, Json, content_name, content_type, sha256_hex
-from services.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
-from services.storage.catalogue.entry import (
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.bundle import Bundle, Json, content_name, content_type, sha256_hex
+from capture2vr.storage.catalogue.asset_notes import carry
+from capture2vr.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
+from capture2vr.storage.catalogue.entry import (
     DEFAULT_COLLECTION,
     Entry,
     alias_name,
@@ -25,12 +25,12 @@ from services.storage.catalogue.entry import (
     entry_name,
     read_entry,
 )
-from services.storage.catalogue.proof import sign_proof
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.catalogue.unity_update import update_unity_catalogues
-from services.storage.catalogue.update import update_collections
-from services.storage.catalogue.visibility import Visibility
-from services.storage.store import Store
+from capture2vr.storage.catalogue.proof import sign_proof
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.catalogue.unity_update import update_unity_catalogues
+from capture2vr.storage.catalogue.update import update_collections
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.store import Store
 
 SCHEMA = 1
 MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "origin")

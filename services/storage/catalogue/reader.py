@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-from services.storage.bundle import hash_in_name, sha256_hex
-from services.storage.catalogue.collection import Index, Row, Shard
-from services.storage.catalogue.faults import MANIFEST_CHANGED, SHARD_MISSING, CatalogueFault
-from services.storage.store import Store
+from capture2vr.storage.bundle import hash_in_name, sha256_hex
+from capture2vr.storage.catalogue.collection import Index, Row, Shard
+from capture2vr.storage.catalogue.faults import MANIFEST_CHANGED, SHARD_MISSING, CatalogueFault
+from capture2vr.storage.store import Store
 
 LoadRows = Callable[[Shard], Iterable[Row]]
 """Reads the rows of a shard."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from services.storage.catalogue.change_entry import change_entry
-from services.storage.catalogue.entry import Entry
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.store import Store
+from capture2vr.storage.catalogue.change_entry import change_entry
+from capture2vr.storage.catalogue.entry import Entry
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.store import Store
 
 
 def remove(store: Store, key: str, keys: Keys = NO_KEYS) -> Entry:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from services.storage.catalogue.collection import Row
+from capture2vr.storage.catalogue.collection import Row
 
 
 @dataclass(frozen=True, slots=True)

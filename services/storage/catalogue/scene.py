@@ -12,10 +12,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
-from services.json_numbers import array_schema, require_number
-from services.one_line import one_line
-from services.storage.catalogue.entry import check_key
-from services.storage.catalogue.faults import SCENE_DAMAGED, CatalogueFault
+from capture2vr.order.json_numbers import array_schema, require_number
+from capture2vr.order.one_line import one_line
+from capture2vr.storage.catalogue.entry import check_key
+from capture2vr.storage.catalogue.faults import SCENE_DAMAGED, CatalogueFault
 
 SCENE_ID = r"scn_[0-9a-f]{24}"
 NAME_CHARS = 100

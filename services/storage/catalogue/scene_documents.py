@@ -11,10 +11,10 @@ import secrets
 import time
 from dataclasses import replace
 
-from services.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, read_mutable
-from services.storage.catalogue.faults import CatalogueFault
-from services.storage.catalogue.scene import PlacedAsset, Scene, parse_scene
-from services.storage.store import ConditionFailed, Head, Store
+from capture2vr.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, read_mutable
+from capture2vr.storage.catalogue.faults import CatalogueFault
+from capture2vr.storage.catalogue.scene import PlacedAsset, Scene, parse_scene
+from capture2vr.storage.store import ConditionFailed, Head, Store
 
 MOST_SCENES = 1_000
 """Most scenes of a tenant: at most some 10 KB each."""

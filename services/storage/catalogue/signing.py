@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.storage.catalogue.faults import KEY_UNKNOWN, SIGNATURE_MISSING, SIGNATURE_WRONG, CatalogueFault
+from capture2vr.storage.catalogue.faults import KEY_UNKNOWN, SIGNATURE_MISSING, SIGNATURE_WRONG, CatalogueFault
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey

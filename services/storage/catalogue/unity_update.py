@@ -10,16 +10,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 
-from services.storage.bundle import content_type
-from services.storage.catalogue.collection import index_name, read_index
-from services.storage.catalogue.compare_and_swap import read_mutable, retry_on_conflict
-from services.storage.catalogue.entry import Entry, list_keys, read_entry
-from services.storage.catalogue.visibility import Visibility, lists
-from services.storage.store import NO_CACHE, ConditionFailed, Store
-from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.locations import PREFIX, build_listing, parse_assets
-from services.storage.unity.nouns import Asset, Catalogue, LodFile
-from services.storage.unity.publication import catalogue_files, catalogue_names
+from capture2vr.storage.bundle import content_type
+from capture2vr.storage.catalogue.collection import index_name, read_index
+from capture2vr.storage.catalogue.compare_and_swap import read_mutable, retry_on_conflict
+from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry
+from capture2vr.storage.catalogue.visibility import Visibility, lists
+from capture2vr.storage.store import NO_CACHE, ConditionFailed, Store
+from capture2vr.storage.unity.json_reader import read_json_catalogue
+from capture2vr.storage.unity.locations import PREFIX, build_listing, parse_assets
+from capture2vr.storage.unity.nouns import Asset, Catalogue, LodFile
+from capture2vr.storage.unity.publication import catalogue_files, catalogue_names
 
 _log = logging.getLogger(__name__)
 

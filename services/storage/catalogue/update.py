@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from services.storage.bundle import sha256_hex
-from services.storage.catalogue.collection import (
+from capture2vr.storage.bundle import sha256_hex
+from capture2vr.storage.catalogue.collection import (
     RETIRED_SHARDS,
     SHARD_ROWS,
     Index,
@@ -28,18 +28,18 @@ from services.storage.catalogue.collection import (
     shard_name,
     sign_index,
 )
-from services.storage.catalogue.compare_and_swap import now_iso, put_mutable, read_mutable, retry_on_conflict
-from services.storage.catalogue.entry import Entry, list_keys, read_entry
-from services.storage.catalogue.faults import (
+from capture2vr.storage.catalogue.compare_and_swap import now_iso, put_mutable, read_mutable, retry_on_conflict
+from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry
+from capture2vr.storage.catalogue.faults import (
     CATALOGUE_TRUNCATED,
     SHARD_MISSING,
     SIGNATURE_MISSING,
     SIGNING_KEY_MISSING,
     CatalogueFault,
 )
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.catalogue.visibility import Visibility, lists
-from services.storage.store import ConditionFailed, Store
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.catalogue.visibility import Visibility, lists
+from capture2vr.storage.store import ConditionFailed, Store
 
 _PAGE = 1000  # keys per list request, the most that S3 allows
 

@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from services.storage.catalogue.collection import Index, Row, Shard, index_name, read_index, read_shard
-from services.storage.catalogue.faults import (
+from capture2vr.storage.catalogue.collection import Index, Row, Shard, index_name, read_index, read_shard
+from capture2vr.storage.catalogue.faults import (
     CATALOGUE_MISSING,
     FILE_CHANGED,
     FILE_MISSING,
@@ -17,9 +17,9 @@ from services.storage.catalogue.faults import (
     SHARD_MISSING,
     CatalogueFault,
 )
-from services.storage.catalogue.reader import AssetFile, parse_manifest
-from services.storage.catalogue.signing import PublicKey
-from services.storage.store import Store
+from capture2vr.storage.catalogue.reader import AssetFile, parse_manifest
+from capture2vr.storage.catalogue.signing import PublicKey
+from capture2vr.storage.store import Store
 
 Fetch = Callable[[str], Iterable[bytes]]
 """Downloads an object by name and yields its bytes in blocks. Raises FileNotFoundError. Called from several threads."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from services.storage.bundle import Json, content_name, sha256_hex
-from services.storage.catalogue.change_entry import change_entry
-from services.storage.catalogue.entry import Entry, read_entry
-from services.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
-from services.storage.catalogue.proof import sign_proof
-from services.storage.catalogue.publish import MANIFEST_FIELDS, PublishedAsset, move_alias
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.store import Store
+from capture2vr.storage.bundle import Json, content_name, sha256_hex
+from capture2vr.storage.catalogue.change_entry import change_entry
+from capture2vr.storage.catalogue.entry import Entry, read_entry
+from capture2vr.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
+from capture2vr.storage.catalogue.proof import sign_proof
+from capture2vr.storage.catalogue.publish import MANIFEST_FIELDS, PublishedAsset, move_alias
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.store import Store
 
 
 class UnknownVersion(LookupError):  # noqa: N818 - a mistake of who asks

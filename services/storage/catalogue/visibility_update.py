@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from services.storage.catalogue.change_entry import change_entry
-from services.storage.catalogue.collection import Index
-from services.storage.catalogue.entry import Entry
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.catalogue.unity_update import rebuild_unity_catalogues
-from services.storage.catalogue.update import change_visibility
-from services.storage.catalogue.visibility import Visibility
-from services.storage.store import Store
+from capture2vr.storage.catalogue.change_entry import change_entry
+from capture2vr.storage.catalogue.collection import Index
+from capture2vr.storage.catalogue.entry import Entry
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.catalogue.unity_update import rebuild_unity_catalogues
+from capture2vr.storage.catalogue.update import change_visibility
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.store import Store
 
 
 def set_asset_visibility(store: Store, key: str, visibility: Visibility | None, keys: Keys = NO_KEYS) -> Entry:

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterable
 from typing import Literal
 
-from services.storage.unity.listing import (
+from capture2vr.storage.unity.listing import (
     BUNDLE_OPTIONS,
     FILE_PROVIDER,
     INSTANCE_PROVIDER,

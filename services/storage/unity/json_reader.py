@@ -12,8 +12,8 @@ from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from services.storage.unity.bounded import BoundedReader
-from services.storage.unity.listing import BundleOptions, Listing, Location, TypeName
+from capture2vr.storage.unity.bounded import BoundedReader
+from capture2vr.storage.unity.listing import BundleOptions, Listing, Location, TypeName
 
 _LocationData = str | BundleOptions | None
 _Key = str | int

@@ -12,7 +12,7 @@ import zlib
 from base64 import b64encode
 from typing import Any
 
-from services.storage.unity.listing import (
+from capture2vr.storage.unity.listing import (
     BUNDLE_OPTIONS,
     FILE_PROVIDER,
     INSTANCE_PROVIDER,

@@ -11,7 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 
-from services.storage.unity.listing import (
+from capture2vr.storage.unity.listing import (
     BUNDLE_RESOURCE,
     FILE_PROVIDER,
     GAME_OBJECT,
@@ -20,7 +20,7 @@ from services.storage.unity.listing import (
     Listing,
     Location,
 )
-from services.storage.unity.nouns import BASE_URL, LABEL_LIMIT, Asset, Catalogue, LodFile, check_catalogue
+from capture2vr.storage.unity.nouns import BASE_URL, LABEL_LIMIT, Asset, Catalogue, LodFile, check_catalogue
 
 PREFIX = "captures/"
 _HASH_DIGITS = 32  # hex digits of Unity's Hash128; the whole SHA-256 is in the file's name

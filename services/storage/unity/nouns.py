@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from services.storage.bundle import is_sha256
-from services.storage.store import check_name
+from capture2vr.storage.bundle import is_sha256
+from capture2vr.storage.store import check_name
 
 BASE_URL = "{Capture2vr.Catalogue.BaseUrl}"
 """Unity replaces braces on the device by the static property that they name, so one catalogue works for any host."""

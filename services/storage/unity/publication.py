@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from services.storage.store import check_name
-from services.storage.unity.binary_writer import binary_catalogue
-from services.storage.unity.json_writer import json_catalogue
-from services.storage.unity.listing import Listing
-from services.storage.unity.locations import build_listing
-from services.storage.unity.nouns import Catalogue
+from capture2vr.storage.store import check_name
+from capture2vr.storage.unity.binary_writer import binary_catalogue
+from capture2vr.storage.unity.json_writer import json_catalogue
+from capture2vr.storage.unity.listing import Listing
+from capture2vr.storage.unity.locations import build_listing
+from capture2vr.storage.unity.nouns import Catalogue
 
 _WRITERS: dict[int, Callable[[Listing], bytes]] = {
     0: json_catalogue,

@@ -1,5 +1,5 @@
 // Measures the quality of a photo on a small copy of it: sharpness, darkness, overexposure, and a hash that finds copies. The
-// measures and limits are those of the worker, which leaves out what the page warns of (services/edge/photos/screening.py);
+// measures and limits are those of the worker, which leaves out what the page warns of (services/edge/cameras/screening.py);
 // overexposure alone is measured only here.
 
 const LONGEST = 480; // pixels of the copy that is measured

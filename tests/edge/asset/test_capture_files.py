@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.download_formats import CAMERAS, POINTS
-from services.edge.asset import capture_files as module
-from services.edge.asset.capture_files import capture_files
-from services.edge.capture.nouns import PictureCamera
-from services.edge.convert.capture_points import CapturePoints
-from services.edge.points.nouns import Points
+from capture2vr.edge.asset import capture_files as module
+from capture2vr.edge.asset.capture_files import capture_files
+from capture2vr.edge.capture.nouns import PictureCamera
+from capture2vr.edge.convert.capture_points import CapturePoints
+from capture2vr.edge.points.nouns import Points
+from capture2vr.order.download_formats import CAMERAS, POINTS
 from tests.support.downloadable import TO_ASSET
 
 CAMERA = PictureCamera(

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats
-from services.edge.asset.photo_check import drop_false_pieces
-from services.edge.certificate import Evidence, certify
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area
-from services.edge.points.nouns import Points, TextureView, UnitFrame
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.asset.photo_check import drop_false_pieces
+from capture2vr.edge.certificate import Evidence, certify
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area
+from capture2vr.edge.points.nouns import Points, TextureView, UnitFrame
 from tests.edge.asset.test_photo_check import CENTRE, EYES, SHEET, SIZE, points, view
 from tests.edge.test_certificate import flat_field
 from tests.support import surfaces

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.edge.arrays import no_tick
-from services.edge.asset.levels import add_textures, pack_glb, preview_images
-from services.edge.asset.manifest import AssetSubject
-from services.edge.asset.target import TARGETS, Target, measure_cost, target_of
-from services.edge.capture.nouns import Intrinsics
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.points.nouns import Points, TextureView
-from services.edge.texture import texture_mesh
-from services.edge.texture.unwrap import UnwrapError
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.asset.levels import add_textures, pack_glb, preview_images
+from capture2vr.edge.asset.manifest import AssetSubject
+from capture2vr.edge.asset.target import TARGETS, Target, measure_cost, target_of
+from capture2vr.edge.capture.nouns import Intrinsics
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.points.nouns import Points, TextureView
+from capture2vr.edge.texture import texture_mesh
+from capture2vr.edge.texture.unwrap import UnwrapError
 from tests.referees.glb_reader import Glb
 from tests.support import surfaces
 
@@ -172,8 +172,8 @@ def test_a_texture_that_cannot_be_made_costs_a_warning(monkeypatch: pytest.Monke
 
 def test_a_preset_of_large_levels_still_gets_a_file_for_phones(monkeypatch: pytest.MonkeyPatch) -> None:
     """A colour atlas has room for 131,072 faces: an operator's preset may ask for more."""
-    monkeypatch.setattr("services.edge.export.usdz.MOST_FACES", 1_000)
-    monkeypatch.setattr("services.edge.export.colour_atlas.MOST_FACES", 1_000)
+    monkeypatch.setattr("capture2vr.edge.export.usdz.MOST_FACES", 1_000)
+    monkeypatch.setattr("capture2vr.edge.export.colour_atlas.MOST_FACES", 1_000)
     level = bumpy_sheet()
     coloured = replace(level, rgb=print_of(level.vertices))
     assert "asset.usdz" in preview_images([coloured], last=True, tick=no_tick)

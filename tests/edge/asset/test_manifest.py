@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from services.edge.asset.manifest import asset_frame, rotation_between
-from services.edge.points.nouns import Points
-from services.edits import Edits
+from capture2vr.edge.asset.manifest import asset_frame, rotation_between
+from capture2vr.edge.points.nouns import Points
+from capture2vr.order.edits import Edits
 
 directions = (
     arrays(np.float64, 3, elements=st.floats(-1, 1))

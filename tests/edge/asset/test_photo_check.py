@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.edge.arrays import Floats
-from services.edge.asset.photo_check import (
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.asset.photo_check import (
     PhotoCheck,
     check_surface_with_photos,
     check_textures_with_photos,
@@ -19,14 +19,14 @@ from services.edge.asset.photo_check import (
     marked_pictures,
     posed_picture,
 )
-from services.edge.capture.nouns import Capture, Intrinsics
-from services.edge.mesh.nouns import Mesh
-from services.edge.pipeline import reconstruct
-from services.edge.points.nouns import Points, TextureView, UnitFrame
-from services.edge.preset import Preset
-from services.edge.render.photo_comparison import PhotoFigures, SurfaceCheck
-from services.edge.render.posed_picture import PosedPicture
-from services.storage.bundle import Bundle
+from capture2vr.edge.capture.nouns import Capture, Intrinsics
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.points.nouns import Points, TextureView, UnitFrame
+from capture2vr.edge.preset import Preset
+from capture2vr.edge.render.photo_comparison import PhotoFigures, SurfaceCheck
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.storage.bundle import Bundle
 from tests.support import surfaces
 from tests.support.posed_pictures import SIDE, photographs, printed
 from tests.support.scenes import film, orbit, table_with_sphere

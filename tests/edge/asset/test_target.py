@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.edge.asset.target import (
+from capture2vr.edge.asset.target import (
     NO_TARGET,
     TARGETS,
     Cost,
@@ -16,10 +16,10 @@ from services.edge.asset.target import (
     require_encoder,
     target_of,
 )
-from services.edge.errors import EdgeError
-from services.edge.export.glb import Packing, to_glb
-from services.edge.mesh.nouns import TexturedMesh
-from services.edge.texture.bake import jpeg_of
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.export.glb import Packing, to_glb
+from capture2vr.edge.mesh.nouns import TexturedMesh
+from capture2vr.edge.texture.bake import jpeg_of
 from tests.support import surfaces
 
 WAVE = surfaces.patch(lambda u, v: [u, v, 0.1 * np.sin(9 * u)], 60, 60)

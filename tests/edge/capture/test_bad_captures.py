@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.images import MAX_PIXELS, header_size
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.images import MAX_PIXELS, header_size
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
 
 XYZ, RGB, NORMALS = captures.sphere()

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats, no_tick
-from services.edge.capture.cloud_parts import read_some
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.capture.raw_parts import RawPart, RawParts
-from services.edge.errors import CaptureError
+from capture2vr.edge.arrays import Floats, no_tick
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.clouds.cloud_parts import read_some
+from capture2vr.edge.clouds.raw_parts import RawPart, RawParts
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
 from tests.support.captures import e57_scan, save_e57, splat_ply_bytes
 
 COUNT = 50_003
@@ -24,7 +24,7 @@ GEOREFERENCED = np.array([500_000.0, 5_000_000.0, 100.0])
 def small_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reads files in parts from fewer points on, because one of four million takes seconds to write."""
     for module in ("e57", "las", "ply", "tables", "cloud_parts"):
-        monkeypatch.setattr(f"services.edge.capture.{module}.LARGE", 20_000)
+        monkeypatch.setattr(f"capture2vr.edge.capture.{module}.LARGE", 20_000)
 
 
 def square(count: int) -> Floats:
@@ -119,7 +119,7 @@ def test_a_scan_without_colours_of_a_large_e57_is_grey(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("small_is_large")
 def test_a_large_file_of_splats_is_read_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With parts of which some have no splat that can be seen."""
-    monkeypatch.setattr("services.edge.capture.ply.PART", 10_000)
+    monkeypatch.setattr("capture2vr.edge.clouds.ply.PART", 10_000)
     seen = np.arange(COUNT) < 25_000
     opacity, rgb = np.where(seen, 0.9, 0.01), np.full((COUNT, 3), (200, 100, 50))
     (tmp_path / "scan.ply").write_bytes(splat_ply_bytes(square(COUNT), rgb, opacity))
@@ -143,7 +143,7 @@ def test_a_large_npy_is_read_in_parts(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("small_is_large")
 def test_all_parts_of_a_table_have_one_layout_and_one_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Alone, the first part would be x y z r g b i, with colours of 0 to 1."""
-    monkeypatch.setattr("services.edge.capture.tables.PART", 10_000)
+    monkeypatch.setattr("capture2vr.edge.clouds.tables.PART", 10_000)
     intensity, colours = np.zeros((COUNT, 1)), np.ones((COUNT, 3))
     intensity[COUNT // 2 :], colours[COUNT // 2 :] = 1_000, (30, 20, 10)
     np.save(tmp_path / "scan.npy", np.hstack([square(COUNT), intensity, colours]))

@@ -18,13 +18,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.pcd import lzf_decompress
-from services.edge.capture.sample_surface import SAMPLES
-from services.edge.capture.tables import MAX_PARTED_POINTS
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.export.obj import to_obj_zip
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.clouds.pcd import lzf_decompress
+from capture2vr.edge.clouds.sample_surface import SAMPLES
+from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS
+from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.export.obj import to_obj_zip
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures, surfaces
 from tests.support.patience import CANCEL_S
 
@@ -357,7 +357,7 @@ def test_a_cloud_with_a_stray_face_stays_a_cloud(tmp_path: Path) -> None:
 
 
 def test_nothing_heavy_is_imported_before_it_is_needed() -> None:
-    code = "import sys, services.edge.capture; print(*sys.modules)"
+    code = "import sys, capture2vr.edge.capture; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"cv2", "av", "trimesh", "laspy", "scipy", "lzfse", "PIL"} & set(loaded)
 

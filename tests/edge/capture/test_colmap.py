@@ -14,10 +14,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from services.edge.capture import colmap
-from services.edge.capture.files import open_folder
-from services.edge.capture.nouns import Capture
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.files import open_folder
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.recordings import colmap
 from tests.support import captures
 from tests.support.patience import HANG_S
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from services.edge.capture.detect import read_capture
-from services.edge.errors import CaptureError
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
 
 NO_SIZE = '{"camera": {"w": 0, "h": 0, "fx": 1, "fy": 1, "cx": 0, "cy": 0, "scale": 1}}'

@@ -20,14 +20,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.capture import film_scan, video_streams
-from services.edge.capture.detect import read_capture
-from services.edge.capture.keyframes import MAX_KEY_FRAMES, MIN_PATH, PathTracker, ScannedFrame, key_frames
-from services.edge.capture.nouns import Capture, Photo
-from services.edge.capture.video import VideoFrames
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.photos.screening import screen
-from services.edge.photos.structure_from_motion import align
+from capture2vr.edge.cameras.screening import screen
+from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.capture.nouns import Capture, Photo
+from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.films import film_scan, video_streams
+from capture2vr.edge.films.keyframes import MAX_KEY_FRAMES, MIN_PATH, PathTracker, ScannedFrame, key_frames
+from capture2vr.edge.films.video import VideoFrames
+from capture2vr.edge.read_capture import read_capture
 from tests.support.captures import turn_film
 from tests.support.walkaround import render_walkaround
 

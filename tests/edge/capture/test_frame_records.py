@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
-from services.edge.capture_to_points import to_points
-from services.edge.photos.depth_maps import TEXTURE_PX, PhotoColours, at_texture_resolution
-from services.edge.photos.nouns import PhotoView
-from services.edge.points.texture_views import MAX_TEXTURE_VIEWS, select_texture_views
+from capture2vr.edge.cameras.nouns import PhotoView
+from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.fusion.texture_views import MAX_TEXTURE_VIEWS, select_texture_views
+from capture2vr.edge.photos.depth_maps import TEXTURE_PX, PhotoColours, at_texture_resolution
 
 CAMERA = Intrinsics(60.0, 60.0, 31.5, 23.5, 64, 48)
 

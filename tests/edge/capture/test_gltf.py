@@ -14,12 +14,12 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Cloud
-from services.edge.errors import CaptureError
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.capture.nouns import Cloud
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.srgb import to_linear, to_srgb
 from tests.support import captures
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
@@ -273,7 +273,7 @@ def test_extensions_that_change_the_shading_alone_are_read() -> None:
 
 def test_the_rows_of_new_accessors_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Many primitives may use one accessor, each with another transform."""
-    monkeypatch.setattr("services.edge.capture.gltf.MAX_POINTS", 100)
+    monkeypatch.setattr("capture2vr.edge.clouds.gltf.MAX_POINTS", 100)
     attributes = {"POSITION": VERTICES[:250].astype(np.int16), "COLOR_0": np.ones((250, 3), np.float32)}
     with pytest.raises(CaptureError, match="has 500 points") as caught:
         cloud_of(captures.glb_bytes(attributes, FACES[:1], normalised=("POSITION",)))

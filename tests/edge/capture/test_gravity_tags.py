@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from services.edge.capture import photos
-from services.edge.capture.files import Folder
-from services.edge.capture.gravity_tags import elevation_deg, up_in_camera
+from capture2vr.edge.capture import photos
+from capture2vr.edge.capture.files import Folder
+from capture2vr.edge.capture.gravity_tags import elevation_deg, up_in_camera
 from tests.support.maker_notes import apple_note
 
 # What Core Motion calls gravity, in g along right, top and out of the screen; clockwise quarter turns; up in the

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.capture.calibration import camera_matrix, is_side_table
-from services.edge.capture.detect import read_capture
-from services.edge.capture.files import open_folder
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.calibration import camera_matrix, is_side_table
+from capture2vr.edge.capture.files import open_folder
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
 
 K = f"{captures.FOCAL} 0 {captures.CX}\n0 {captures.FOCAL} {captures.CY}\n0 0 1\n"

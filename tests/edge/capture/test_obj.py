@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.files import open_folder
-from services.edge.capture.nouns import Capture
-from services.edge.capture.obj import ObjFile, read_obj
-from services.edge.errors import CaptureError
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.files import open_folder
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.clouds.obj import ObjFile, read_obj
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
 
 HEAD = "mtllib a.mtl\nusemtl paint\n"
 CORNERS = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -194,8 +194,8 @@ def test_relative_indices_are_those_before_the_face(polygons: list[list[int]], b
 def test_what_cannot_be_is_named(
     text: str, code: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.edge.capture.obj.MAX_FACES", 100_000)
-    monkeypatch.setattr("services.edge.capture.sample_surface.MAX_FACES", 100_000)
+    monkeypatch.setattr("capture2vr.edge.clouds.obj.MAX_FACES", 100_000)
+    monkeypatch.setattr("capture2vr.edge.clouds.sample_surface.MAX_FACES", 100_000)
     with pytest.raises(CaptureError, match=reason) as caught:
         parse(tmp_path, text)
     assert caught.value.code == code

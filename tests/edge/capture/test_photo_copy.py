@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.capture.photo_copy import COPY_PX, PhotoCopy, keep_copy
-from services.edge.capture.picture import PhotoPixels
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.photo_copy import COPY_PX, PhotoCopy, keep_copy
+from capture2vr.edge.capture.picture import PhotoPixels
+from capture2vr.edge.errors import CaptureError
 
 
 def scene(width: int, height: int) -> np.ndarray:

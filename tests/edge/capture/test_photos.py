@@ -18,10 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
-from services.edge.capture import photos
-from services.edge.capture.files import Folder, open_folder
-from services.edge.capture.nouns import Photo
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture import photos
+from capture2vr.edge.capture.files import Folder, open_folder
+from capture2vr.edge.capture.nouns import Photo
+from capture2vr.edge.errors import CaptureError
 from tests.edge.capture.test_bad_captures import png_header
 
 pillow_heif.register_heif_opener()

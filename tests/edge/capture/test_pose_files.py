@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.capture.detect import read_capture
-from services.edge.errors import CaptureError
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
 
 LOST = "-inf -inf -inf -inf\n" * 4

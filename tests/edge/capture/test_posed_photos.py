@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
 from tests.edge.capture.test_film import HEIGHT, VIEWS, WIDTH, encode
 from tests.support import captures
 

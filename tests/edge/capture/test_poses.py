@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from services.edge.capture.colours import rgb8, unpack_rgb
-from services.edge.capture.depth import zero_invalid_depth
-from services.edge.capture.files import number_order
-from services.edge.capture.frame_records import checked_intrinsics
-from services.edge.capture.images import decode_depth, decode_rgb, header_size, image_size
-from services.edge.capture.nouns import Intrinsics
-from services.edge.capture.poses import checked_pose, pose_from_quaternion
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.depth import zero_invalid_depth
+from capture2vr.edge.capture.files import number_order
+from capture2vr.edge.capture.frame_records import checked_intrinsics
+from capture2vr.edge.capture.images import decode_depth, decode_rgb, header_size, image_size
+from capture2vr.edge.capture.nouns import Intrinsics
+from capture2vr.edge.capture.poses import checked_pose, pose_from_quaternion
+from capture2vr.edge.clouds.colours import rgb8, unpack_rgb
+from capture2vr.edge.errors import CaptureError
 
 QUATERNIONS = arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: 0.6 < np.linalg.norm(q) < 1.9)
 

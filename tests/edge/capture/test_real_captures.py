@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Cloud
-from services.edge.capture.sample_surface import SAMPLES
+from capture2vr.edge.capture.nouns import Cloud
+from capture2vr.edge.clouds.sample_surface import SAMPLES
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
 
 pytestmark = pytest.mark.data

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture
-from services.edge.capture.video import VideoFrames
-from services.edge.errors import CaptureError
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.films.video import VideoFrames
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
 
 _HALF_STEP_M = 0.0008  # half a millimetre along a ray that leaves the axis by up to 35 degrees, and rounding

@@ -13,10 +13,10 @@ import pycolmap
 import pytest
 import trimesh
 
-from services.edge.asset.capture_files import capture_files
-from services.edge.capture.detect import read_capture
-from services.edge.convert.camera_files import colmap_zip
-from services.edge.convert.convert_bundle import convert
+from capture2vr.edge.asset.capture_files import capture_files
+from capture2vr.edge.convert.camera_files import colmap_zip
+from capture2vr.edge.convert.convert_bundle import convert
+from capture2vr.edge.read_capture import read_capture
 from tests.edge.asset.test_capture_files import CAMERA, points
 from tests.support import captures
 from tests.support.downloadable import TO_ASSET, downloadable, written

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from services.edge.arrays import Floats
-from services.edge.convert.convert_bundle import convert
-from services.edge.convert.read_glb import read_glb
-from services.edge.export.glb import to_glb
-from services.edge.export.ply import ply_bytes
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.splats.spz import from_spz, to_spz
-from services.edge.splats.surface_splats import MOST_SPLATS, cover_with_splats
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.convert.convert_bundle import convert
+from capture2vr.edge.convert.read_glb import read_glb
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.splats.spz import from_spz, to_spz
+from capture2vr.edge.splats.surface_splats import MOST_SPLATS, cover_with_splats
 from tests.referees.glb_reader import Glb
 from tests.support.downloadable import SHEET, coloured, downloadable, textured, written
 from tests.support.painted import quarters
@@ -201,8 +201,8 @@ def test_usdz_of_a_level_too_large_for_a_colour_atlas_has_fewer_triangles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A preview made for the target `archive` has all triangles in its finest level, and no file for phones yet."""
-    monkeypatch.setattr("services.edge.export.usdz.MOST_FACES", 100)
-    monkeypatch.setattr("services.edge.export.colour_atlas.MOST_FACES", 100)
+    monkeypatch.setattr("capture2vr.edge.export.usdz.MOST_FACES", 100)
+    monkeypatch.setattr("capture2vr.edge.export.colour_atlas.MOST_FACES", 100)
     made = convert(written(downloadable(coloured(), "float"), tmp_path), "usdz", "sheet")
     with zipfile.ZipFile(io.BytesIO(made)) as package:
         assert package.namelist() == ["asset.usda", "colour.jpg"]

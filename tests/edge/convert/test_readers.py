@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.download_formats import FORMATS
-from services.edge.convert.convert_bundle import convert
+from capture2vr.edge.convert.convert_bundle import convert
+from capture2vr.order.download_formats import FORMATS
 from tests.referees.formats import readers
 from tests.referees.formats.readers import Reader
 from tests.support.downloadable import SHEET, downloadable, written

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from services.edge.engine.address import check_engine, open_engine
-from services.edge.engine.local_engine import LocalEngine
-from services.edge.engine.nouns import Needs, Submitted, wait_for_all
-from services.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.engine.address import check_engine, open_engine
+from capture2vr.edge.engine.local_engine import LocalEngine
+from capture2vr.edge.engine.nouns import Needs, Submitted, wait_for_all
+from capture2vr.edge.errors import Cancelled, EdgeError
 from tests.conftest import missing
 from tests.support import engine_tasks, own_network
 from tests.support.patience import HANG_S
@@ -101,6 +101,10 @@ def test_captures_are_reconstructed_on_the_cluster(ray_story: dict[str, Any]) ->
     ran = ray_story["captures"]
     assert ran["status"] == 0, ran["said"]
     assert ran["states"] == {"leaf": "preview", "twig": "preview"}
+
+
+def test_no_worker_imports_from_the_folder_where_ray_was_started(ray_story: dict[str, Any]) -> None:
+    assert ray_story["strangers"] == []
 
 
 def test_a_scene_is_made_on_the_cluster(ray_story: dict[str, Any]) -> None:
@@ -205,7 +209,7 @@ def test_another_setting_is_refused(setting: str) -> None:
 
 def test_ray_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    monkeypatch.delitem(sys.modules, "services.edge.engine.ray_engine", raising=False)
+    monkeypatch.delitem(sys.modules, "capture2vr.edge.engine.ray_engine", raising=False)
     with pytest.raises(EdgeError, match="needs Ray") as raised, open_engine("ray://head:10001", ONE):
         pass
     assert (raised.value.code, raised.value.hints) == ("ENGINE_MISSING", ("pip install 'capture2vr[ray]'",))

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.export.glb import Packing, to_glb
-from services.edge.mesh.normals import split_flips, vertex_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.srgb import to_srgb
-from services.edge.texture.bake import jpeg_of
+from capture2vr.edge.export.glb import Packing, to_glb
+from capture2vr.edge.mesh.normals import split_flips, vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.srgb import to_srgb
+from capture2vr.edge.texture.bake import jpeg_of
 from tests.referees.glb_reader import Glb
 from tests.referees.gltf.validator import Validator, validator  # noqa: F401 - a fixture is used by its name
 from tests.support import surfaces

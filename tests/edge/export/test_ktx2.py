@@ -15,19 +15,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.cli.errors import BadInput
-from services.cli.run import RunOptions, run_capture
-from services.edge.api import edge_pb2 as pb
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.export.glb import to_glb
-from services.edge.export.ktx2 import VERSION, Ktx2Encoder, Ktx2Error, Ktx2Header
-from services.edge.field.device import find_device
-from services.edge.jobs.available_presets import known_presets
-from services.edge.jobs.reconstruct_job import Reconstructor
-from services.edge.srgb import to_linear, to_srgb
-from services.edge.worker.job_request import ReconstructionRequest, RefusedError
-from services.edge.worker.memory_budget import MemoryBudget
-from services.storage.memory import MemoryStore
+from capture2vr.cli.errors import BadInput
+from capture2vr.cli.local.run import RunOptions, run_capture
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.export.ktx2 import VERSION, Ktx2Encoder, Ktx2Error, Ktx2Header
+from capture2vr.edge.field.device import find_device
+from capture2vr.edge.jobs.available_presets import known_presets
+from capture2vr.edge.jobs.reconstruct_job import Reconstructor
+from capture2vr.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError
+from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.storage.memory import MemoryStore
 from tests.edge.export.test_glb import PACKINGS, PICTURED
 from tests.referees.glb_reader import Glb
 from tests.referees.gltf.validator import Validator, validator  # noqa: F401 - a fixture is used by its name

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from services.edge.export.ply import write_ply
+from capture2vr.edge.export.ply import write_ply
 from tests.support import surfaces
 
 MESH = surfaces.grid_with_holes()

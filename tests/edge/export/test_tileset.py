@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.edge.export.tileset import TilesetNode, tileset_json
-from services.storage.bundle import hash_in_name, sha256_hex
+from capture2vr.edge.export.tileset import TilesetNode, tileset_json
+from capture2vr.storage.bundle import hash_in_name, sha256_hex
 from tests.referees.glb_reader import Glb
 from tests.support.tilesets import hill_bundle
 

@@ -13,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.export.colour_atlas import MOST_FACES, face_picture
-from services.edge.export.shading import shaded
-from services.edge.export.usdz import to_usdz
-from services.edge.mesh.normals import split_flips, vertex_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.export.colour_atlas import MOST_FACES, face_picture
+from capture2vr.edge.export.shading import shaded
+from capture2vr.edge.export.usdz import to_usdz
+from capture2vr.edge.mesh.normals import split_flips, vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.srgb import to_linear, to_srgb
 from tests.referees.usd.reader import Reading, UsdCore
 from tests.referees.usd.reader import usd_core as usd_core
 from tests.support import surfaces

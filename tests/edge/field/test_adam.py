@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.edge.field.adam import Adam
+from capture2vr.edge.field.adam import Adam
 
 BETAS = (0.9, 0.99)
 STEPS = 30

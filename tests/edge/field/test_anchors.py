@@ -10,21 +10,21 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import EdgeError
-from services.edge.field import checkpoint as checkpoints
-from services.edge.field import noise_trust
-from services.edge.field.anchor_fit import fit_anchors
-from services.edge.field.anchor_losses import LOOSE, NEIGHBOURS, AnchorEdges, agreement_losses, edges_between
-from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors, surface_at
-from services.edge.field.config import AnchorConfig
-from services.edge.field.denoise import denoise
-from services.edge.field.folds import noise_of
-from services.edge.field.local import local_field
-from services.edge.field.noise import Noise
-from services.edge.field.patches import TERMS, fit_patches
-from services.edge.field.planes import fit_planes
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field import checkpoint as checkpoints
+from capture2vr.edge.field import noise_trust
+from capture2vr.edge.field.anchor_fit import fit_anchors
+from capture2vr.edge.field.anchor_losses import LOOSE, NEIGHBOURS, AnchorEdges, agreement_losses, edges_between
+from capture2vr.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors, surface_at
+from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.field.denoise import denoise
+from capture2vr.edge.field.folds import noise_of
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.field.noise import Noise
+from capture2vr.edge.field.patches import TERMS, fit_patches
+from capture2vr.edge.field.planes import fit_planes
+from capture2vr.edge.mesh.nouns import Mesh
 from tests.support import surfaces
 
 CONFIG = AnchorConfig(steps=40, learning_rate=0.05)

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import torch
 
-from services.edge.arrays import Floats
-from services.edge.field import checkpoint as checkpoints
-from services.edge.field.local import local_field
-from services.edge.paper_field.network_config import Densify, NetworkConfig
-from services.edge.paper_field.network_fit import fit_network
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.field import checkpoint as checkpoints
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
+from capture2vr.edge.paper_field.network_fit import fit_network
 from tests.support import surfaces
 from tests.support.repository import ROOT
 
@@ -133,7 +133,7 @@ def test_a_checkpoint_runs_no_code(tmp_path: Path, caplog: pytest.LogCaptureFixt
 _CHILD = """
 import sys
 from pathlib import Path
-from services.edge.field import checkpoint
+from capture2vr.edge.field import checkpoint
 from tests.edge.field.test_checkpoint import CONFIG, HELD_OUT, POINTS, fit_network, local_field
 checkpoint.SECONDS = 0.05
 for step in fit_network(POINTS, CONFIG, base=local_field(POINTS), held_out=HELD_OUT, checkpoint=Path(sys.argv[1])):

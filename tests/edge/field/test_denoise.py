@@ -11,12 +11,12 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.errors import Cancelled
-from services.edge.field.denoise import denoise
-from services.edge.field.folds import noise_of
-from services.edge.field.noise import noise_level
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.field.denoise import denoise
+from capture2vr.edge.field.folds import noise_of
+from capture2vr.edge.field.noise import noise_level
+from capture2vr.edge.mesh.nouns import Mesh
 from tests.support import surfaces
 
 pytestmark = pytest.mark.slow
@@ -74,7 +74,7 @@ def test_noise_finer_than_its_neighbourhoods_is_measured_too() -> None:
 
 def test_large_clouds_share_their_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     # More points than fits: those without one of their own take that of a neighbour.
-    monkeypatch.setattr(importlib.import_module("services.edge.field.denoise"), "ANCHORS", 4_000)
+    monkeypatch.setattr(importlib.import_module("capture2vr.edge.field.denoise"), "ANCHORS", 4_000)
     points = surfaces.sampled(surfaces.disk(), 10_000, noise=0.006, seed=0)
     assert np.abs(smoothed(points)[:, 2]).mean() < 0.3 * np.abs(points[:, 2]).mean()
 

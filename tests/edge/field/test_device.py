@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 import torch
 
-from services.edge.arrays import Floats
-from services.edge.errors import EdgeError
-from services.edge.field import device
-from services.edge.field.device import find_device, own_stream
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.network_fit import fit_network
-from services.edge.preset import load_preset
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field import device
+from capture2vr.edge.field.device import find_device, own_stream
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.network_fit import fit_network
+from capture2vr.edge.preset import load_preset
 from tests.support import surfaces
 
 _FIND = """
 import sys
-from services.edge.field.device import find_device
+from capture2vr.edge.field.device import find_device
 find_device("auto")
 print("torch" in sys.modules)
 """

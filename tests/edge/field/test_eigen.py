@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.edge.field.eigen import smallest_eigenvectors
+from capture2vr.edge.field.eigen import smallest_eigenvectors
 
 
 @pytest.mark.parametrize("flatness", [1.0, 1e-2, 1e-6, 0.0])

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.errors import Cancelled
-from services.edge.field.folds import noise_of
-from services.edge.field.noise import noise_level
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.field.folds import noise_of
+from capture2vr.edge.field.noise import noise_level
+from capture2vr.edge.mesh.nouns import Mesh
 from tests.support import surfaces
 
 Maker = Callable[[], Mesh]

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.field.local import local_field
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.mesh.nouns import Mesh
 from tests.support import surfaces
 
 RNG = np.random.default_rng(7)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.field import patches
-from services.edge.field.local import local_field
-from services.edge.field.patches import Patches, fit_patches, predict
-from services.edge.field.planes import Planes, fit_planes
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import sample
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.field import patches
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.field.patches import Patches, fit_patches, predict
+from capture2vr.edge.field.planes import Planes, fit_planes
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import sample
 from tests.support import surfaces
 
 RNG = np.random.default_rng(11)

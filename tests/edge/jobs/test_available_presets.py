@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from services.edge.errors import EdgeError
-from services.edge.field.device import Device, find_device
-from services.edge.jobs.available_presets import capabilities_of, known_presets
-from services.edge.preset import memory_bytes
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field.device import Device, find_device
+from capture2vr.edge.jobs.available_presets import capabilities_of, known_presets
+from capture2vr.edge.preset import memory_bytes
 
 CPU = Device("cpu", "cpu, 2 cores")
 PLENTY = 1 << 50

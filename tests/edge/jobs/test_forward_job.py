@@ -25,27 +25,27 @@ import grpc
 import numpy as np
 import pytest
 
-from services.asset_names import AssetNames
-from services.edge.api import edge_pb2 as pb
-from services.edge.capture_to_points import STARTS
-from services.edge.field.device import find_device
-from services.edge.jobs import central_client
-from services.edge.jobs.available_presets import known_presets
-from services.edge.jobs.central_client import Central, CentralUnavailable, Timeouts
-from services.edge.jobs.points_archive import VERSION, write_prepared
-from services.edge.jobs.reconstruct_job import Reconstructor
-from services.edge.worker.capabilities import Capabilities
-from services.edge.worker.job_run import Work
-from services.edge.worker.memory_budget import MemoryBudget
-from services.edge.worker.scratch import Scratch
-from services.edge.worker.server import EdgeServer
-from services.edge.worker.settings import EdgeSettings
-from services.edits import NO_EDITS
-from services.grpc_client import GrpcClient
-from services.storage.catalogue.entry import read_entry
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.store import Store
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.api.grpc_client import GrpcClient
+from capture2vr.edge.capture_to_points import STARTS
+from capture2vr.edge.field.device import find_device
+from capture2vr.edge.jobs import central_client
+from capture2vr.edge.jobs.available_presets import known_presets
+from capture2vr.edge.jobs.central_client import Central, CentralUnavailable, Timeouts
+from capture2vr.edge.jobs.points_archive import VERSION, write_prepared
+from capture2vr.edge.jobs.reconstruct_job import Reconstructor
+from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.job_run import Work
+from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.edge.worker.server import EdgeServer
+from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.edits import NO_EDITS
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store
 from tests.edge.jobs.test_points_archive import prepared_points
 from tests.edge.jobs.test_reconstruct_job import BRIEF, ENDLESS, archive, hemisphere_ply
 from tests.support.captures import write_open3d
@@ -411,7 +411,7 @@ async def test_what_only_an_absent_central_has_is_refused_for_now(
 
 
 def fail() -> None:
-    from services.edge.errors import EdgeError
+    from capture2vr.edge.errors import EdgeError
 
     raise EdgeError("GPU_LOST", "the GPU fell off the bus", file="a.ply", hints=("turn it on",), retryable=True)
 

@@ -12,11 +12,11 @@ import numpy as np
 import psutil
 import pytest
 
-from services.edge.arrays import no_tick
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.jobs import inspection_work
-from services.edge.jobs.inspect_capture import Inspector
-from services.fork_client import ForkServer
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.jobs import inspection_work
+from capture2vr.edge.jobs.inspect_capture import Inspector
+from capture2vr.process.fork_client import ForkServer
 from tests.support import captures
 
 
@@ -93,7 +93,7 @@ def test_what_would_cost_much_is_refused_before(
 SCRIPTED = """
 import os, socket, sys
 from services import fork_server
-from services.edge.jobs import inspection_work
+from capture2vr.edge.jobs import inspection_work
 def inspect(folder, box):
     {costly}
 inspection_work.inspect = inspect

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from services.download_formats import FORMATS
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.jobs import make_download as module
-from services.edge.jobs.make_download import make_download
-from services.storage.bundle import Bundle
-from services.storage.catalogue.deletion import delete_asset
-from services.storage.catalogue.downloads import DownloadOrder, find_download, store_download
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.memory import MemoryStore
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.jobs import make_download as module
+from capture2vr.edge.jobs.make_download import make_download
+from capture2vr.order.download_formats import FORMATS
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.deletion import delete_asset
+from capture2vr.storage.catalogue.downloads import DownloadOrder, find_download, store_download
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.memory import MemoryStore
 from tests.support.downloadable import downloadable
 from tests.support.tilesets import hill_bundle
 

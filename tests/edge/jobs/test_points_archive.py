@@ -17,17 +17,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PhotoVerdict, PictureCamera, UpSource
-from services.edge.capture.photo_copy import encode_copy
-from services.edge.capture_to_points import CaptureSummary, PreparedPoints
-from services.edge.errors import EdgeError
-from services.edge.jobs.archived_views import MOST_VIEWS
-from services.edge.jobs.points_archive import MOST_POINTS, VERSION, read_prepared, write_prepared
-from services.edge.jobs.points_cache import load_points, save_points
-from services.edge.points.nouns import CutReport, Points, TextureView, UnseenSide
-from services.edits import CropBox, Edits
-from services.storage.archives import unpack
+from capture2vr.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PhotoVerdict, PictureCamera, UpSource
+from capture2vr.edge.capture.photo_copy import encode_copy
+from capture2vr.edge.capture_to_points import CaptureSummary, PreparedPoints
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.jobs.archived_views import MOST_VIEWS
+from capture2vr.edge.jobs.points_archive import MOST_POINTS, VERSION, read_prepared, write_prepared
+from capture2vr.edge.jobs.points_cache import load_points, save_points
+from capture2vr.edge.points.nouns import CutReport, Points, TextureView, UnseenSide
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.order.edits import CropBox, Edits
+from capture2vr.process.archives import unpack
 
 VERDICTS = (PhotoVerdict("a.jpg", "ok"), PhotoVerdict("b.jpg", "blur", "hold still"))
 CAMERA = PictureCamera(

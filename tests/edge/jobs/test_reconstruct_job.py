@@ -18,19 +18,19 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.asset.target import measure_cost
-from services.edge.field.device import find_device
-from services.edge.jobs.available_presets import known_presets
-from services.edge.jobs.reconstruct_job import Reconstructor
-from services.edge.preset import memory_bytes
-from services.edge.worker.memory_budget import MemoryBudget
-from services.storage.bundle import Bundle
-from services.storage.catalogue.collection import index_name
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import PublishedAsset, publish
-from services.storage.memory import MemoryStore
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.asset.target import measure_cost
+from capture2vr.edge.field.device import find_device
+from capture2vr.edge.jobs.available_presets import known_presets
+from capture2vr.edge.jobs.reconstruct_job import Reconstructor
+from capture2vr.edge.preset import memory_bytes
+from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.collection import index_name
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import PublishedAsset, publish
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
 from tests.support.edge_client import Client, leftovers, until, upload, worker
 from tests.support.patience import CANCEL_S, PATIENCE_S
@@ -196,7 +196,7 @@ async def test_a_job_computes_in_a_stream_of_its_own(
         seen.append(tuple(streams))
         return publish(*asset, **where)
 
-    monkeypatch.setattr("services.edge.jobs.reconstruct_job.own_stream", stream)
+    monkeypatch.setattr("capture2vr.edge.jobs.reconstruct_job.own_stream", stream)
     work = Reconstructor(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), publish=look)
     async with worker(work, scratch) as client:
         await client.ended(archive(tmp_path, dome_ply=hemisphere_ply(200)), asset_key="dome", preset="draft")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.edge.mesh.align_to_reference import overlay
-from services.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.align_to_reference import overlay
+from capture2vr.edge.mesh.nouns import Mesh
 from tests.support import surfaces
 
 pytestmark = pytest.mark.slow

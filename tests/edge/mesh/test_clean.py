@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import Cancelled
-from services.edge.field.local import local_field
-from services.edge.mesh.clean import clean
-from services.edge.mesh.clip import clip
-from services.edge.mesh.edges import border_edges, border_loops, edges_of
-from services.edge.mesh.extract import extract
-from services.edge.mesh.holes import fill_holes, zip_tears
-from services.edge.mesh.manifold import to_manifold
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area
-from services.edge.mesh.topology import orient, pieces_of, reseamed, seam_length
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.clip import clip
+from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.holes import fill_holes, zip_tears
+from capture2vr.edge.mesh.manifold import to_manifold
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area
+from capture2vr.edge.mesh.topology import orient, pieces_of, reseamed, seam_length
 from tests.support import surfaces
 from tests.support.mesh_metrics import compare
 

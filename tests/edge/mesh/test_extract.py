@@ -10,18 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import Cancelled
-from services.edge.mesh.band import Band
-from services.edge.mesh.crossings import find_crossings
-from services.edge.mesh.dual import connect
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.extract import extract
-from services.edge.mesh.grid import SIDE, STEP, find, grid_around
-from services.edge.mesh.manifold import to_manifold
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.spacing import auto_resolution, point_spacing
-from services.edge.mesh.topology import component_count
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.mesh.band import Band
+from capture2vr.edge.mesh.crossings import find_crossings
+from capture2vr.edge.mesh.dual import connect
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.grid import SIDE, STEP, find, grid_around
+from capture2vr.edge.mesh.manifold import to_manifold
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.spacing import auto_resolution, point_spacing
+from capture2vr.edge.mesh.topology import component_count
 from tests.support import surfaces
 from tests.support.mesh_metrics import chamfer_l1
 

@@ -15,16 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.measure import marching_cubes
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import Cancelled
-from services.edge.mesh.band import evaluate, floor_of, walk
-from services.edge.mesh.cached_field import smooth_cells, with_cache
-from services.edge.mesh.clean import clean
-from services.edge.mesh.extract import extract
-from services.edge.mesh.grid import Grid, grid_around
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area
-from services.edge.mesh.settle import settle
+from capture2vr.edge.arrays import DistanceFn, Floats
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.mesh.band import evaluate, floor_of, walk
+from capture2vr.edge.mesh.cached_field import smooth_cells, with_cache
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.grid import Grid, grid_around
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area
+from capture2vr.edge.mesh.settle import settle
 from tests.support import surfaces
 from tests.support.mesh_metrics import chamfer_l1, compare
 from tests.support.patience import CANCEL_S

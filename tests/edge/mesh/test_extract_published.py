@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats
-from services.edge.errors import Cancelled
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.extract_published import extract_published
-from services.edge.mesh.sampling import area
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.extract_published import extract_published
+from capture2vr.edge.mesh.sampling import area
 
 RADIUS = 0.4
 

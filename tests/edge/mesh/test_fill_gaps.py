@@ -10,12 +10,12 @@ import trimesh
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.edges import border_edges, edges_of
-from services.edge.mesh.fill_gaps import Fill, FilledMesh, fill_gaps
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import compact
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.mesh.edges import border_edges, edges_of
+from capture2vr.edge.mesh.fill_gaps import Fill, FilledMesh, fill_gaps
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.topology import compact
 
 
 def nobody_sees_through(places: Floats, normals: Floats) -> Ints:
@@ -139,7 +139,7 @@ def test_the_longest_loops_are_left_out_where_there_are_too_many(monkeypatch: py
     ball = trimesh.creation.icosphere(4)
     large, small = ball.triangles_center[:, 2] > 0.9, ball.triangles_center[:, 2] < -0.98
     mesh = mesh_of(ball, ~(large | small))
-    monkeypatch.setattr("services.edge.mesh.fill_gaps._MOST_WORK", (30 / 400) ** 3)
+    monkeypatch.setattr("capture2vr.edge.mesh.fill_gaps._MOST_WORK", (30 / 400) ** 3)
     made = fill_gaps(mesh, "unseen", nobody_sees_through)
     left = made.mesh.vertices[border_edges(made.mesh.faces)[:, 0]]
     assert made.filled.any()

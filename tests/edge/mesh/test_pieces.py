@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.field.local import local_field
-from services.edge.mesh.clean import clean
-from services.edge.mesh.extract import extract
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.pieces import MOST_LISTED, SplitMesh, list_pieces
-from services.edge.mesh.sampling import area
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.pieces import MOST_LISTED, SplitMesh, list_pieces
+from capture2vr.edge.mesh.sampling import area
 from tests.support import surfaces
 
 FATES = st.tuples(st.floats(1e-6, 1.0), st.booleans(), st.sampled_from(["alone", "many"]))

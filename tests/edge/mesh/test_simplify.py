@@ -13,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.mesh.edges import edges_of
-from services.edge.mesh.manifold import without_fins
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area, sample
-from services.edge.mesh.simplify import Collapse, by_fast_simplification, by_meshoptimizer, lods, simplify
-from services.edge.mesh.topology import component_count, orient
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.manifold import without_fins
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area, sample
+from capture2vr.edge.mesh.simplify import Collapse, by_fast_simplification, by_meshoptimizer, lods, simplify
+from capture2vr.edge.mesh.topology import component_count, orient
 from tests.support import surfaces
 from tests.support.mesh_metrics import chamfer_l1
 

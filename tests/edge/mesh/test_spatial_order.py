@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.spatial_order import by_place
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.spatial_order import by_place
 from tests.support import surfaces
 
 

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.mesh.edges import border_edges
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import pieces_of
-from services.edge.mesh.trim_rims import trim_rims
+from capture2vr.edge.mesh.edges import border_edges
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.topology import pieces_of
+from capture2vr.edge.mesh.trim_rims import trim_rims
 from tests.support import surfaces
 
 SHEET = surfaces.patch(lambda u, v: [u, v, 0.1 * u * v], 60, 60)  # from −0.5 to 0.5, each side 1

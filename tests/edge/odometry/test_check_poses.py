@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.capture.images import broken_image
-from services.edge.capture.nouns import Capture, Frame
-from services.edge.capture_to_points import to_points
-from services.edge.errors import CaptureError
-from services.edge.odometry.check_poses import pose_fault
-from services.edge.odometry.posed_frames import _without_strays, with_poses
-from services.edge.photos.place_frames import place_frames
-from services.edge.procrustes import procrustes
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras.place_frames import place_frames
+from capture2vr.edge.capture.images import broken_image
+from capture2vr.edge.capture.nouns import Capture, Frame
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.odometry.check_poses import pose_fault
+from capture2vr.edge.odometry.posed_frames import _without_strays, with_poses
+from capture2vr.edge.procrustes import procrustes
 from tests.edge.odometry.test_tracker import off_m, things
 from tests.support.scenes import Sensor, film, furnished_room, look_around, orbit, table_with_sphere
 from tests.support.walkaround import film_walkaround

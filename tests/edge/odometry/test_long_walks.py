@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.odometry import loop_closure
-from services.edge.odometry.pose_graph import Edge, optimise_poses
-from services.edge.odometry.pyramid import Level, PackedLevel
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.odometry import loop_closure
+from capture2vr.edge.odometry.pose_graph import Edge, optimise_poses
+from capture2vr.edge.odometry.pyramid import Level, PackedLevel
 from tests.support.scenes import PHONE, look_at
 
 SURE = np.eye(6) * 4e8

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats, no_tick
-from services.edge.odometry import loop_closure
-from services.edge.odometry.features import Features
-from services.edge.odometry.loop_closure import close_loops
-from services.edge.odometry.place_recognition import similar_pairs
-from services.edge.odometry.pose_graph import Edge
-from services.edge.odometry.pyramid import PackedLevel
+from capture2vr.edge.arrays import Floats, no_tick
+from capture2vr.edge.odometry import loop_closure
+from capture2vr.edge.odometry.features import Features
+from capture2vr.edge.odometry.loop_closure import close_loops
+from capture2vr.edge.odometry.place_recognition import similar_pairs
+from capture2vr.edge.odometry.pose_graph import Edge
+from capture2vr.edge.odometry.pyramid import PackedLevel
 from tests.edge.odometry.test_tracker import ORBIT, SENSOR, levels, things
 
 

@@ -13,19 +13,19 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Frame
-from services.edge.capture_to_points import to_points
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.odometry import tracker
-from services.edge.odometry.icp import align
-from services.edge.odometry.loop_closure import ClosedWay
-from services.edge.odometry.pose_graph import Edge, optimise_poses
-from services.edge.odometry.pyramid import Level, pyramid
-from services.edge.odometry.relocalise import relocalise
-from services.edge.odometry.tracker import track_frames
-from services.edge.points.frame_faults import FrameFaults
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Capture, Frame
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.odometry import tracker
+from capture2vr.edge.odometry.icp import align
+from capture2vr.edge.odometry.loop_closure import ClosedWay
+from capture2vr.edge.odometry.pose_graph import Edge, optimise_poses
+from capture2vr.edge.odometry.pyramid import Level, pyramid
+from capture2vr.edge.odometry.relocalise import relocalise
+from capture2vr.edge.odometry.tracker import track_frames
+from capture2vr.edge.points.frame_faults import FrameFaults
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
 from tests.support.flat_walks import flat_walk
 from tests.support.scenes import PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere

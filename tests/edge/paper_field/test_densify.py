@@ -7,10 +7,10 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from services.edge.paper_field.densify import densify_points, poisson_disk
-from services.edge.paper_field.network_config import Densify, NetworkConfig
-from services.edge.paper_field.networks import FieldNetwork
-from services.edge.paper_field.queries import draw_pool
+from capture2vr.edge.paper_field.densify import densify_points, poisson_disk
+from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
+from capture2vr.edge.paper_field.networks import FieldNetwork
+from capture2vr.edge.paper_field.queries import draw_pool
 
 
 class Sphere(FieldNetwork):

@@ -7,11 +7,11 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.errors import EdgeError
-from services.edge.paper_field.learned import CHUNK, learned_field
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.networks import network_of
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.paper_field.learned import CHUNK, learned_field
+from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.networks import network_of
 from tests.support import surfaces
 
 POINTS = surfaces.sampled(surfaces.disk(), 1_000)

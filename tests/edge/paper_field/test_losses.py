@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.edge.paper_field import losses
+from capture2vr.edge.paper_field import losses
 
 QUERIES = torch.rand(500, 3, generator=torch.Generator().manual_seed(2)) - 0.5
 

@@ -10,9 +10,9 @@ from textwrap import dedent
 
 import pytest
 
-from services.edge.field.config import AnchorConfig
-from services.edge.paper_field.memory_estimate import evaluation_bytes, fit_memory_bytes
-from services.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.paper_field.memory_estimate import evaluation_bytes, fit_memory_bytes
+from capture2vr.edge.paper_field.network_config import NetworkConfig
 
 ANCHORS = AnchorConfig(steps=2, learning_rate=0.1)
 NETWORK = NetworkConfig(steps=2, warm_up=1, batch=5_000, pool=200_000)
@@ -44,11 +44,11 @@ def bytes_taken(script: str, **environment: str) -> int:
 def test_a_fit_takes_about_what_is_said(config: AnchorConfig | NetworkConfig, points: int) -> None:
     fit = "fit_anchors" if isinstance(config, AnchorConfig) else "fit_network"
     script = f"""
-        from services.edge.field.anchor_fit import fit_anchors
-        from services.edge.field.config import AnchorConfig
-        from services.edge.field.local import local_field
-        from services.edge.paper_field.network_config import NetworkConfig
-        from services.edge.paper_field.network_fit import fit_network
+        from capture2vr.edge.field.anchor_fit import fit_anchors
+        from capture2vr.edge.field.config import AnchorConfig
+        from capture2vr.edge.field.local import local_field
+        from capture2vr.edge.paper_field.network_config import NetworkConfig
+        from capture2vr.edge.paper_field.network_fit import fit_network
         from tests.support import surfaces
 
         xyz = surfaces.sampled(surfaces.pleated_skirt(), {points})
@@ -65,8 +65,8 @@ def test_a_fit_takes_about_what_is_said(config: AnchorConfig | NetworkConfig, po
 def test_what_a_gpu_is_asked_at_once_takes_about_what_is_said(config: NetworkConfig) -> None:
     script = f"""
         import torch
-        from services.edge.paper_field.network_config import GPU_CHUNK, NetworkConfig
-        from services.edge.paper_field.networks import network_of
+        from capture2vr.edge.paper_field.network_config import GPU_CHUNK, NetworkConfig
+        from capture2vr.edge.paper_field.networks import network_of
 
         network = network_of({config!r})
         with torch.no_grad():

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 import torch
 
-from services.edge.arrays import Floats
-from services.edge.errors import EdgeError
-from services.edge.field import checkpoint
-from services.edge.field.compute import capture_step, open_device, translate_memory_errors
-from services.edge.field.local import local_field
-from services.edge.field.step import STEPS_BEFORE_CAPTURE, Step
-from services.edge.paper_field.network_config import Densify, NetworkConfig
-from services.edge.paper_field.network_fit import fit_network
-from services.edge.paper_field.network_run import learning_rate
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.field import checkpoint
+from capture2vr.edge.field.compute import capture_step, open_device, translate_memory_errors
+from capture2vr.edge.field.local import local_field
+from capture2vr.edge.field.step import STEPS_BEFORE_CAPTURE, Step
+from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
+from capture2vr.edge.paper_field.network_fit import fit_network
+from capture2vr.edge.paper_field.network_run import learning_rate
 from tests.support import surfaces
 
 POINTS = surfaces.sampled(surfaces.disk(), 400)

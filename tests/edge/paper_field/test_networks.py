@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 import torch
 
-from services.edge.paper_field.losses import certainty
-from services.edge.paper_field.network_config import NetworkConfig, parameter_count
-from services.edge.paper_field.network_passes import BEND, ROUNDING, Layer, field_value_and_gradient
-from services.edge.paper_field.networks import FieldNetwork, NeighbourNetwork, network_of
+from capture2vr.edge.paper_field.losses import certainty
+from capture2vr.edge.paper_field.network_config import NetworkConfig, parameter_count
+from capture2vr.edge.paper_field.network_passes import BEND, ROUNDING, Layer, field_value_and_gradient
+from capture2vr.edge.paper_field.networks import FieldNetwork, NeighbourNetwork, network_of
 
 CONFIGS = {
     "128 and 256": NetworkConfig(),

@@ -7,9 +7,9 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from services.edge.field.compute import nearest, nearest_by_blocks, rows
-from services.edge.paper_field.network_config import NetworkConfig, pool_size
-from services.edge.paper_field.queries import PADDING, Batches, Pool, draw_pool
+from capture2vr.edge.field.compute import nearest, nearest_by_blocks, rows
+from capture2vr.edge.paper_field.network_config import NetworkConfig, pool_size
+from capture2vr.edge.paper_field.queries import PADDING, Batches, Pool, draw_pool
 from tests.support import surfaces
 
 CPU = torch.device("cpu")

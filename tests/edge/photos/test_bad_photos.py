@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture
-from services.edge.capture_to_points import prepare, to_points
-from services.edge.errors import CaptureError
-from services.edge.photos import placement_attempts, sfm_child, sfm_process
-from services.edge.photos.to_depth import to_depth
-from services.edge.points.nouns import Points
-from services.edge.progress import Bar, ignore_progress
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras import placement_attempts, sfm_child, sfm_process
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.capture_to_points import prepare, to_points
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.photos.to_depth import to_depth
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.progress import Bar, ignore_progress
+from capture2vr.edge.read_capture import read_capture
 from tests.cli.test_run import capture2vr
 from tests.support import bad_photos
 from tests.support.captures import FLIP, save_png, steps, write_open3d

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.photos.depth_rim import remove_rim
+from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.photos.depth_rim import remove_rim
 
 _SIZE = (120, 160)
 _RIM = 3  # pixels that the depth reaches too far

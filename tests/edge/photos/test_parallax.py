@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import Intrinsics, Photo
-from services.edge.errors import CaptureError
-from services.edge.photos.nouns import Alignment, PhotoView
-from services.edge.photos.parallax import require_parallax
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras.nouns import Alignment, PhotoView
+from capture2vr.edge.cameras.parallax import require_parallax
+from capture2vr.edge.capture.nouns import Intrinsics, Photo
+from capture2vr.edge.errors import CaptureError
 from tests.support.scenes import look_at
 
 

@@ -9,14 +9,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.nouns import Intrinsics, Photo
-from services.edge.errors import Cancelled
-from services.edge.photos.nouns import PhotoView
-from services.edge.photos.plane_sweep import sweep
-from services.edge.photos.plane_sweep_torch import TorchSweep, _aggregate
-from services.edge.photos.sgm import aggregate
-from services.edge.photos.undistorted import UndistortedPhoto
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.cameras.nouns import PhotoView
+from capture2vr.edge.capture.nouns import Intrinsics, Photo
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.photos.plane_sweep import sweep
+from capture2vr.edge.photos.plane_sweep_torch import TorchSweep, _aggregate
+from capture2vr.edge.photos.sgm import aggregate
+from capture2vr.edge.photos.undistorted import UndistortedPhoto
 
 CAMERA = Intrinsics(150.0, 150.0, 79.5, 59.5, 160, 120)
 SLOPE, DISTANCE = 0.4, 2.0

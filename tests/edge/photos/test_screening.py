@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import no_tick
-from services.edge.capture import photos
-from services.edge.capture.files import open_folder
-from services.edge.capture.nouns import Photo, PhotoVerdict
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.photos.screening import screen
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.cameras.screening import screen
+from capture2vr.edge.capture import photos
+from capture2vr.edge.capture.files import open_folder
+from capture2vr.edge.capture.nouns import Photo, PhotoVerdict
+from capture2vr.edge.errors import Cancelled, CaptureError
 from tests.support.walkaround import Walkaround, render_walkaround
 
 VIEWS = 10

@@ -19,16 +19,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Bytes, Floats, Tick
-from services.edge.capture.nouns import Intrinsics, Photo
-from services.edge.errors import Cancelled, CaptureError, EdgeError
-from services.edge.photos.features import FAST, FINE, Features, SiftSettings, features_of, pixel_ratio, root_sift
-from services.edge.photos.learned_matches import LearnedMatches
-from services.edge.photos.match_pairs import FEW, MANY, epipolar_errors, exhaustive, sequential, with_all
-from services.edge.photos.nouns import Alignment
-from services.edge.photos.sfm_process import Lens, SfmProblem, SfmResult, solve
-from services.edge.photos.structure_from_motion import align
-from services.edge.procrustes import procrustes
+from capture2vr.edge.arrays import Bytes, Floats, Tick
+from capture2vr.edge.cameras.features import FAST, FINE, Features, SiftSettings, features_of, pixel_ratio, root_sift
+from capture2vr.edge.cameras.learned_matches import LearnedMatches
+from capture2vr.edge.cameras.match_pairs import FEW, MANY, epipolar_errors, exhaustive, sequential, with_all
+from capture2vr.edge.cameras.nouns import Alignment
+from capture2vr.edge.cameras.sfm_process import Lens, SfmProblem, SfmResult, solve
+from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.capture.nouns import Intrinsics, Photo
+from capture2vr.edge.errors import Cancelled, CaptureError, EdgeError
+from capture2vr.edge.procrustes import procrustes
 from tests.support.patience import CANCEL_S
 
 SIZE = (480, 360)
@@ -230,7 +230,7 @@ def children() -> list[psutil.Process]:
 
 def _maps(child: psutil.Process) -> bool:
     with suppress(psutil.Error):  # it ends while it is looked at
-        return "services.edge.photos.sfm_child" in child.cmdline()
+        return "capture2vr.edge.cameras.sfm_child" in child.cmdline()
     return False
 
 
@@ -279,7 +279,7 @@ def test_the_progress_rises_to_one(posed: list[Photo]) -> None:
 
 
 def test_the_child_does_without_torch() -> None:
-    code = "import services.edge.photos.sfm_child, sys; print('torch' in sys.modules)"
+    code = "import capture2vr.edge.cameras.sfm_child, sys; print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
 
 
@@ -340,9 +340,9 @@ def test_a_few_photos_that_were_left_out_are_tried_once_more(monkeypatch: pytest
         model_of = np.where(np.arange(40) < len(placed), 0, -1)
         return SfmResult((), model_of, placed, np.zeros((len(placed), 4, 4)), np.zeros((0, 3)), none, none, none)
 
-    monkeypatch.setattr("services.edge.photos.placement_attempts.find_features", found)
-    monkeypatch.setattr("services.edge.photos.placement_attempts.solve", solved)
-    monkeypatch.setattr("services.edge.photos.structure_from_motion._alignment", lambda photos, attempt: attempt)
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.find_features", found)
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.solve", solved)
+    monkeypatch.setattr("capture2vr.edge.cameras.structure_from_motion._alignment", lambda photos, attempt: attempt)
     attempt = align([photo_of(np.zeros((30, 40, 3), np.uint8), f"{number}.jpg") for number in range(40)])
     assert len(attempt.answer.placed) == 40
     assert [setting for setting, _ in asked] == [FAST, FINE]
@@ -364,11 +364,11 @@ def test_what_was_placed_is_not_lost_with_a_further_try(
         return solve(problem, tick)
 
     found = LearnedMatches(tuple(np.zeros((0, 2), np.float32) for _ in range(10)), np.zeros((1, 4), np.int32))
-    monkeypatch.setattr("services.edge.photos.placement_attempts.solve", solved)
-    monkeypatch.setattr("services.edge.photos.placement_attempts.find_matches", lambda *_: found)
-    monkeypatch.setattr("services.edge.photos.placement_attempts.with_learned", lambda features, _: (features, None))
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.solve", solved)
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.find_matches", lambda *_: found)
+    monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.with_learned", lambda features, _: (features, None))
     for module in ("placement_attempts", "placement_report"):
-        monkeypatch.setattr(f"services.edge.photos.{module}.is_installed", lambda: network)
+        monkeypatch.setattr(f"capture2vr.edge.photos.{module}.is_installed", lambda: network)
     blank = photo_of(np.full((SIZE[1], SIZE[0], 3), 200, np.uint8), "blank.jpg")
     alignment = align([*unposed(posed), blank, *[replace(blank, name="other.jpg")] * network])
     assert len(asked) == 3 if network else 2

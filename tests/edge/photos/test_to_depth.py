@@ -18,28 +18,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.asset_names import AssetNames
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
-from services.edge.capture_to_points import to_points
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.mesh.align_to_reference import align_to_surface
-from services.edge.photos import depth_maps, plane_sweep, plane_sweep_torch
-from services.edge.photos.depth_consistency import confirmations
-from services.edge.photos.depth_maps import depth_frames
-from services.edge.photos.nouns import Alignment, PhotoView
-from services.edge.photos.plane_sweep import vertex
-from services.edge.photos.sgm import P1, aggregate
-from services.edge.photos.source_views import choose_sources
-from services.edge.photos.structure_from_motion import align
-from services.edge.photos.to_depth import to_depth
-from services.edge.photos.undistorted import UndistortedPhoto
-from services.edge.photos.zncc import BestTwo, Windows
-from services.edge.pipeline import reconstruct
-from services.edge.preset import load_preset
-from services.edge.progress import Progress
-from services.storage.bundle import Bundle
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras.nouns import Alignment, PhotoView
+from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.mesh.align_to_reference import align_to_surface
+from capture2vr.edge.photos import depth_maps, plane_sweep, plane_sweep_torch
+from capture2vr.edge.photos.depth_consistency import confirmations
+from capture2vr.edge.photos.depth_maps import depth_frames
+from capture2vr.edge.photos.plane_sweep import vertex
+from capture2vr.edge.photos.sgm import P1, aggregate
+from capture2vr.edge.photos.source_views import choose_sources
+from capture2vr.edge.photos.to_depth import to_depth
+from capture2vr.edge.photos.undistorted import UndistortedPhoto
+from capture2vr.edge.photos.zncc import BestTwo, Windows
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import load_preset
+from capture2vr.edge.progress import Progress
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.bundle import Bundle
 from tests.support.patience import CANCEL_S
 from tests.support.walkaround import Walkaround, render_walkaround
 
@@ -52,7 +52,7 @@ SIZE_M = 0.4  # of the thing that is walked around
 
 def _slow_paths(cost: np.ndarray) -> np.ndarray:
     """Eq. 13 of the paper word for word, in a picture without edges, where P2 is what `aggregate` has on them."""
-    from services.edge.photos.sgm import P2
+    from capture2vr.edge.photos.sgm import P2
 
     rows, columns, planes = cost.shape
     total = np.zeros(cost.shape, int)
@@ -388,7 +388,7 @@ def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Cap
 
 
 def test_poses_in_metres_keep_them(posed: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.edge.photos.to_depth.depth_frames", lambda *_, **__: ())
+    monkeypatch.setattr("capture2vr.edge.photos.to_depth.depth_frames", lambda *_, **__: ())
     metric = to_depth(replace(posed, scale_confidence="metric"))
     assert metric.metres_per_unit == 1
     assert not any("tell no unit" in warning for warning in metric.warnings)
@@ -403,7 +403,7 @@ def test_photographed_fruit_lies_on_the_reference_surface(data_dir: Path, monkey
     The depth images are of 480 pixels here, of 600 in the bench.
     """
     folder = data_dir / "photos_fruit"
-    monkeypatch.setattr("services.edge.photos.to_depth.depth_frames", partial(depth_frames, longest=480))
+    monkeypatch.setattr("capture2vr.edge.photos.to_depth.depth_frames", partial(depth_frames, longest=480))
     depth = to_depth(read_capture(folder / "images"))
     assert [verdict.verdict for verdict in depth.verdicts] == ["ok"] * 20
     given = {

@@ -17,17 +17,17 @@ from PIL import Image
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
-from services.edge.capture_to_points import to_points
-from services.edge.errors import CaptureError
-from services.edge.photos.crop import CropBox, crop_photo
-from services.edge.photos.features import FAST, features_of, resize_mask
-from services.edge.photos.to_depth import to_depth
-from services.edge.photos.turntable import axis_up, mask_background
-from services.edge.points.isolate import isolate_object
-from services.edge.points.nouns import Points
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras.features import FAST, features_of, resize_mask
+from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.photos.crop import CropBox, crop_photo
+from capture2vr.edge.photos.to_depth import to_depth
+from capture2vr.edge.photos.turntable import axis_up, mask_background
+from capture2vr.edge.points.isolate import isolate_object
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.read_capture import read_capture
 from tests.support.turntable import PLATE_RADIUS, Turntable, render_turntable
 
 SIZE_M = 0.4  # of the thing

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.points.anchor_points import cluster_anchors
+from capture2vr.edge.points.anchor_points import cluster_anchors
 from tests.support import surfaces
 
 

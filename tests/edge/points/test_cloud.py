@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.capture_to_points import to_points
-from services.edge.errors import CaptureError
-from services.edge.points.downsample import downsample_points, voxel_downsample, voxel_downsample_to
-from services.edge.points.nouns import Points
-from services.edge.points.outliers import inliers, label_components
-from services.edge.points.unit import unit_frame
-from services.edge.points.voxel_grid import cell_keys, key_cells, sum_groups
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.points.downsample import downsample_points, voxel_downsample, voxel_downsample_to
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.points.outliers import inliers, label_components
+from capture2vr.edge.points.unit import unit_frame
+from capture2vr.edge.points.voxel_grid import cell_keys, key_cells, sum_groups
+from capture2vr.edge.read_capture import read_capture
 
 
 def cloud(xyz: Floats, rgb: Bytes | None = None) -> Capture:

@@ -10,16 +10,16 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.cli.report import report_page
-from services.edge.arrays import Floats
-from services.edge.asset.manifest import _unseen_sides, asset_frame
-from services.edge.capture.nouns import Capture
-from services.edge.capture_to_points import to_points
-from services.edge.pipeline import reconstruct
-from services.edge.points.coverage import unseen_sides
-from services.edge.points.nouns import Points, UnseenSide
-from services.edge.preset import load_preset
-from services.storage.bundle import Bundle
+from capture2vr.cli.local.report import report_page
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.asset.manifest import _unseen_sides, asset_frame
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.fusion.coverage import unseen_sides
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.points.nouns import Points, UnseenSide
+from capture2vr.edge.preset import load_preset
+from capture2vr.storage.bundle import Bundle
 from tests.support.scenes import PHONE, Sensor, film, look_at, orbit, plane, scene
 
 MIDDLE = (0.0, 0.0, 0.15)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.errors import Cancelled
-from services.edge.points.denoise_stereo import NEIGHBOURS, smooth_stereo_points
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.points.denoise_stereo import NEIGHBOURS, smooth_stereo_points
 from tests.support import surfaces
 
 

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import Cloud, CloudParts
-from services.edge.errors import EdgeError
-from services.edge.points.edit import cut_away, kept_mask, kept_parts, set_frame
-from services.edge.points.nouns import Points
-from services.edits import CropBox, CutPlane, Edits, MeasuredLength
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Cloud, CloudParts
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.points.edit import cut_away, kept_mask, kept_parts, set_frame
+from capture2vr.edge.points.nouns import Points
+from capture2vr.order.edits import CropBox, CutPlane, Edits, MeasuredLength
 
 TURNS = st.tuples(*4 * [st.floats(-1, 1)]).filter(lambda turn: np.linalg.norm(turn) > 0.1)
 PLACES = st.tuples(*3 * [st.floats(-50, 50)])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from services.edge.points.flatness import flatness_warning
+from capture2vr.edge.points.flatness import flatness_warning
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 10), st.floats(0, 0.01))

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats
-from services.edge.capture.images import broken_image
-from services.edge.capture.nouns import Capture, Frame
-from services.edge.capture_to_points import to_points
-from services.edge.errors import CaptureError
-from services.edge.odometry.tracker import track_frames
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.images import broken_image
+from capture2vr.edge.capture.nouns import Capture, Frame
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.odometry.tracker import track_frames
 from tests.edge.odometry.test_tracker import things
 from tests.support.scenes import film, orbit
 

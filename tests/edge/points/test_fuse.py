@@ -11,14 +11,14 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Frame
-from services.edge.capture_to_points import to_points
-from services.edge.errors import Cancelled, CaptureError
-from services.edge.points.fuse import fuse
-from services.edge.points.voxel_grid import Samples, VoxelGrid
-from services.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Capture, Frame
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.edge.fusion.fuse import fuse
+from capture2vr.edge.points.voxel_grid import Samples, VoxelGrid
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.srgb import to_linear, to_srgb
 from tests.support.scenes import KINECT, PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
 
 CLEAN = Sensor()

@@ -12,19 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge import capture_to_points
-from services.edge.arrays import Bytes, Floats
-from services.edge.capture.nouns import Capture, Frame
-from services.edge.capture_to_points import to_points
-from services.edge.errors import CaptureError
-from services.edge.points.depth_range import survey_frames
-from services.edge.points.frame_faults import FrameFaults
-from services.edge.points.fuse import FusedPoints, fuse
-from services.edge.points.fuse_scene import fuse_scene
-from services.edge.points.fused_files import FusedFiles
-from services.edge.points.outliers import inliers
-from services.edge.points.scene_boxes import CELL, SceneBox, within
-from services.edge.points.scene_walk import survey_walk
+from capture2vr.edge import capture_to_points
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.nouns import Capture, Frame
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.fusion.depth_range import survey_frames
+from capture2vr.edge.fusion.fuse import FusedPoints, fuse
+from capture2vr.edge.fusion.fuse_scene import fuse_scene
+from capture2vr.edge.fusion.fused_files import FusedFiles
+from capture2vr.edge.fusion.scene_boxes import CELL, SceneBox, within
+from capture2vr.edge.fusion.scene_walk import survey_walk
+from capture2vr.edge.points.frame_faults import FrameFaults
+from capture2vr.edge.points.outliers import inliers
 from tests.support.scenes import Sensor, film, furnished_room, look_around
 
 VOXEL = 0.02

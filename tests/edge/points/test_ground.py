@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.points.ground import Ground
-from services.edge.points.plane import Plane
+from capture2vr.edge.points.ground import Ground
+from capture2vr.edge.points.plane import Plane
 
 _FLAT = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 0.002, 0.8)
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.capture_to_points import to_points
-from services.edge.errors import CaptureError
-from services.edge.points.isolate import isolate_object
-from services.edge.points.nouns import Points
-from services.edge.points.plane import largest_plane
-from services.edge.points.upright import from_cameras
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.points.isolate import isolate_object
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.points.plane import largest_plane
+from capture2vr.edge.points.upright import from_cameras
+from capture2vr.edge.read_capture import read_capture
 from tests.support.scenes import Sensor, film, look_at, orbit, plane, scene
 
 SENSOR = Sensor(noise_m=0.003, jitter_m=0.002, jitter_deg=0.1, flying=0.5)

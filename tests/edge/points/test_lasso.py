@@ -13,22 +13,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Cloud, CloudParts, Frame, Intrinsics, Photo, PhotoVerdict, ShownPicture
-from services.edge.capture.upright_places import turn_places
-from services.edge.capture_to_points import CaptureSummary, PreparedPoints, to_points
-from services.edge.errors import CaptureError, EdgeError
-from services.edge.jobs.points_archive import read_prepared, write_prepared
-from services.edge.photos.crop import CropBox, crop_photo
-from services.edge.photos.nouns import PhotoView
-from services.edge.photos.structure_from_motion import project
-from services.edge.photos.upright_photo import UprightPhoto
-from services.edge.points.edit import cut_away, kept_parts
-from services.edge.points.lasso import DrawnView, drawn_views, inside, left_out, require_photos
-from services.edge.points.nouns import Points
-from services.edits import Edits
-from services.photo_lasso import PhotoLasso
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.cameras.nouns import PhotoView
+from capture2vr.edge.cameras.structure_from_motion import project
+from capture2vr.edge.capture.nouns import (
+    Capture,
+    Cloud,
+    CloudParts,
+    Frame,
+    Intrinsics,
+    Photo,
+    PhotoVerdict,
+    ShownPicture,
+)
+from capture2vr.edge.capture.upright_places import turn_places
+from capture2vr.edge.capture_to_points import CaptureSummary, PreparedPoints, to_points
+from capture2vr.edge.errors import CaptureError, EdgeError
+from capture2vr.edge.jobs.points_archive import read_prepared, write_prepared
+from capture2vr.edge.photos.crop import CropBox, crop_photo
+from capture2vr.edge.photos.upright_photo import UprightPhoto
+from capture2vr.edge.points.edit import cut_away, kept_parts
+from capture2vr.edge.points.lasso import DrawnView, drawn_views, inside, left_out, require_photos
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.order.edits import Edits
+from capture2vr.order.photo_lasso import PhotoLasso
 from tests.support.two_balls import (
     BLUE_AT,
     RADIUS_M,

@@ -10,12 +10,12 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import Capture, Frame, Intrinsics
-from services.edge.capture_to_points import to_points
-from services.edge.points.nouns import Points
-from services.edge.points.orbit import meeting_point, sees_a_scene
-from services.edge.points.scale import scale_to_longest, span
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.fusion.orbit import meeting_point, sees_a_scene
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.points.scale import scale_to_longest, span
 from tests.support.scenes import PHONE, Scene, film, furnished_room, look_around, look_at, plane, scene
 
 LENS = Intrinsics(500, 500, 320, 240, 640, 480)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.capture.nouns import Capture, Frame, Intrinsics
-from services.edge.capture_to_points import to_points
-from services.edge.points.texture_views import HOLD_OUT_FROM, MAX_TEXTURE_VIEWS, hold_out_frames, select_scene_views
+from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.fusion.texture_views import HOLD_OUT_FROM, MAX_TEXTURE_VIEWS, hold_out_frames, select_scene_views
 
 CAMERA = Intrinsics(60.0, 60.0, 31.5, 23.5, 64, 48)
 

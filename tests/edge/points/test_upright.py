@@ -11,12 +11,12 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.asset.manifest import rotation_between
-from services.edge.capture.nouns import Capture, Intrinsics, UpSource
-from services.edge.capture_to_points import to_points
-from services.edge.points.upright import SURE, find_up, from_cameras, from_walk
-from services.edge.points.vertical_lines import vertical_lines
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.asset.manifest import rotation_between
+from capture2vr.edge.capture.nouns import Capture, Intrinsics, UpSource
+from capture2vr.edge.capture_to_points import to_points
+from capture2vr.edge.points.upright import SURE, find_up, from_cameras, from_walk
+from capture2vr.edge.points.vertical_lines import vertical_lines
 from tests.support.scenes import (
     KINECT,
     PHONE,

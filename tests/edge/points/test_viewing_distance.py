@@ -7,11 +7,11 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.capture.nouns import Intrinsics
-from services.edge.points.fuse import fuse
-from services.edge.points.fuse_scene import fuse_scene
-from services.edge.points.viewing_distance import ViewingDistance
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Intrinsics
+from capture2vr.edge.fusion.fuse import fuse
+from capture2vr.edge.fusion.fuse_scene import fuse_scene
+from capture2vr.edge.fusion.viewing_distance import ViewingDistance
 from tests.support.scenes import Sensor, film, look_at, scene
 
 WALL = np.random.default_rng(0).uniform([-1, 0, -1], [1, 1e-3, 1], (2_000, 3))

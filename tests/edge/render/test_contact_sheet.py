@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.mesh.normals import vertex_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.render.contact_sheet import render_sheet
-from services.edge.render.rays import Scene, open_sky, pinhole
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.mesh.normals import vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.render.contact_sheet import render_sheet
+from capture2vr.edge.render.rays import Scene, open_sky, pinhole
 from tests.support import surfaces
 from tests.support.painted import painted, quarters
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.render.free_space import ColouredSurface, ask_views
-from services.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.render.free_space import ColouredSurface, ask_views
+from capture2vr.edge.render.posed_picture import PosedPicture
 
 SIDE = 64
 RED, BLUE = (200, 30, 30), (40, 60, 180)

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from services.edge.arrays import Bools
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.render.photo_comparison import (
+from capture2vr.edge.arrays import Bools
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.render.photo_comparison import (
     LikenessCheck,
     PhotoFigures,
     SurfaceCheck,
@@ -24,7 +24,7 @@ from services.edge.render.photo_comparison import (
     marked_jpeg,
     mean_figures,
 )
-from services.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.posed_picture import PosedPicture
 from tests.support import surfaces
 from tests.support.posed_pictures import SIDE, photograph, photographs, print_on, printed, silhouette
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.render.point_picture import point_picture
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.render.point_picture import point_picture
 
 Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 RED, BLUE = (220, 30, 30), (30, 30, 220)

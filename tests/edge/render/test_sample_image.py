@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.render.sample_image import bicubic, bilinear, pixels_at, shrink_to
+from capture2vr.edge.render.sample_image import bicubic, bilinear, pixels_at, shrink_to
 
 
 @pytest.mark.parametrize("rows", [0, 1, 1_024, 40_000])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.rays import Scene
-from services.edge.render.silhouette import cast_pixels, outside_outlines
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.silhouette import cast_pixels, outside_outlines
 from tests.support import surfaces
 from tests.support.posed_pictures import photographs, printed
 

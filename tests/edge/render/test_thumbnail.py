@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.spatial import ConvexHull
 
-from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.render.thumbnail import THUMBNAIL_BYTES, TURNING_BYTES, thumbnail, turning_preview
+from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.render.thumbnail import THUMBNAIL_BYTES, TURNING_BYTES, thumbnail, turning_preview
 from tests.support import surfaces
 from tests.support.painted import jpeg, painted, quarters
 

@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import Bools, Bytes
-from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Photo
-from services.edge.errors import CaptureError
-from services.edge.render.rays import Scene, pinhole
-from services.edge.single_photo.cutout import CutOut, cut_out
-from services.edge.single_photo.plain_background import segment_by_colour
-from services.edge.single_photo.proposal import propose
-from services.edge.single_photo.saliency import saliency
-from services.photo_box import PhotoBox
+from capture2vr.edge.arrays import Bools, Bytes
+from capture2vr.edge.capture.nouns import Photo
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.render.rays import Scene, pinhole
+from capture2vr.edge.single_photo.cutout import CutOut, cut_out
+from capture2vr.edge.single_photo.plain_background import segment_by_colour
+from capture2vr.edge.single_photo.proposal import propose
+from capture2vr.edge.single_photo.saliency import saliency
+from capture2vr.order.photo_box import PhotoBox
 from tests.support.single_photos import photo
 from tests.support.walkaround import render_walkaround
 

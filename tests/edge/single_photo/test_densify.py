@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.single_photo.densify import densify
-from services.edge.single_photo.network import GRID, POINTS
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.single_photo.densify import densify
+from capture2vr.edge.single_photo.network import GRID, POINTS
 
 
 def sheet(*, gap: float = 0.0, height: float = 0.0) -> Floats:

@@ -15,22 +15,23 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.asset_names import AssetNames
-from services.edge.arrays import Bytes, no_tick
-from services.edge.capture.detect import read_capture
-from services.edge.errors import Cancelled, CaptureError, EdgeError
-from services.edge.pipeline import reconstruct
-from services.edge.preset import load_preset
-from services.edge.single_photo.camera import SIDE
-from services.edge.single_photo.cutout import CutOut, crop_square, cut_out
-from services.edge.single_photo.guess import MOST_CONFIDENT, Guess, guess
-from services.edge.single_photo.network import BINS, POINTS, Pixels
-from services.edge.single_photo.test_time_views import VIEWS, _choose_yaw, predict_from_views
-from services.edge.single_photo.weights import SHIPPED, load_pixels
-from services.edge.single_photo_training import __main__ as training_command
-from services.edge.single_photo_training.batches import HELD_OUT, held_out_batch, training_batches
-from services.edge.single_photo_training.evaluate import head_points
-from services.edge.single_photo_training.field_heads import (
+from capture2vr.edge.arrays import Bytes, no_tick
+from capture2vr.edge.errors import Cancelled, CaptureError, EdgeError
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import load_preset
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.single_photo.camera import SIDE
+from capture2vr.edge.single_photo.cutout import CutOut, crop_square, cut_out
+from capture2vr.edge.single_photo.guess import MOST_CONFIDENT, Guess, guess
+from capture2vr.edge.single_photo.network import BINS, POINTS, Pixels
+from capture2vr.edge.single_photo.prediction_views import VIEWS, _choose_yaw, predict_from_views
+from capture2vr.edge.single_photo.weights import SHIPPED, load_pixels
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.bundle import Bundle
+from tests.bench.single_photo_training import __main__ as training_command
+from tests.bench.single_photo_training.batches import HELD_OUT, held_out_batch, training_batches
+from tests.bench.single_photo_training.evaluate import head_points
+from tests.bench.single_photo_training.field_heads import (
     ANCHORS,
     Field,
     Implicit,
@@ -38,12 +39,17 @@ from services.edge.single_photo_training.field_heads import (
     field_points,
     value_and_gradient,
 )
-from services.edge.single_photo_training.losses import chamfer, f_score
-from services.edge.single_photo_training.pictures import render_pictures
-from services.edge.single_photo_training.shapes import SAMPLES, generate_shapes
-from services.edge.single_photo_training.train import HeadTraining, train
-from services.edge.single_photo_training.weight_files import FIELDS, TrainingRecord, load_field, save_half, training_of
-from services.storage.bundle import Bundle
+from tests.bench.single_photo_training.losses import chamfer, f_score
+from tests.bench.single_photo_training.pictures import render_pictures
+from tests.bench.single_photo_training.shapes import SAMPLES, generate_shapes
+from tests.bench.single_photo_training.train import HeadTraining, train
+from tests.bench.single_photo_training.weight_files import (
+    FIELDS,
+    TrainingRecord,
+    load_field,
+    save_half,
+    training_of,
+)
 from tests.support.single_photos import photo
 
 CPU = torch.device("cpu")
@@ -248,14 +254,14 @@ def test_anchors_reach_the_whole_thing_where_there_are_nearly_as_many_as_points(
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Little bags, and a checkpoint after every other step or so."""
-    monkeypatch.setattr("services.edge.single_photo_training.batches._SHEETS", 1)
-    monkeypatch.setattr("services.edge.single_photo_training.batches._EACH", 1)
-    monkeypatch.setattr("services.edge.single_photo_training.batches._VIEWS", 1)
-    monkeypatch.setattr("services.edge.single_photo_training.batches._USES", 2)
-    monkeypatch.setattr("services.edge.single_photo_training.batches.BATCH", 8)
-    monkeypatch.setattr("services.edge.single_photo_training.batches.STEPS", QUICK_STEPS)
-    monkeypatch.setattr("services.edge.single_photo_training.train._CHECKPOINT_S", 0.2)
-    monkeypatch.setattr("services.edge.single_photo_training.train._REPORT_STEPS", 1)
+    monkeypatch.setattr("tests.bench.single_photo_training.batches._SHEETS", 1)
+    monkeypatch.setattr("tests.bench.single_photo_training.batches._EACH", 1)
+    monkeypatch.setattr("tests.bench.single_photo_training.batches._VIEWS", 1)
+    monkeypatch.setattr("tests.bench.single_photo_training.batches._USES", 2)
+    monkeypatch.setattr("tests.bench.single_photo_training.batches.BATCH", 8)
+    monkeypatch.setattr("tests.bench.single_photo_training.batches.STEPS", QUICK_STEPS)
+    monkeypatch.setattr("tests.bench.single_photo_training.train._CHECKPOINT_S", 0.2)
+    monkeypatch.setattr("tests.bench.single_photo_training.train._REPORT_STEPS", 1)
 
 
 @pytest.mark.slow

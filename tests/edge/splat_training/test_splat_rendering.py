@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
 
 WIDTH, HEIGHT = 24, 18
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.errors import EdgeError
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
-from services.edge.splat_training.train_splats import train_splats
-from services.edge.splats.surface_splats import Splats, cover_with_splats
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
+from capture2vr.edge.splat_training.train_splats import train_splats
+from capture2vr.edge.splats.surface_splats import Splats, cover_with_splats
 
 WIDTH, HEIGHT, FOCAL = 108, 81, 120.0
 BACKGROUND = np.array([40, 60, 80], np.uint8)

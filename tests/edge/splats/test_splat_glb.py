@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.splats.splat_glb import to_splat_glb
-from services.edge.splats.surface_splats import cover_with_splats
+from capture2vr.edge.splats.splat_glb import to_splat_glb
+from capture2vr.edge.splats.surface_splats import cover_with_splats
 from tests.referees.glb_reader import Glb
 from tests.support.downloadable import coloured
 

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.splats.spz import from_spz, to_spz
-from services.edge.splats.surface_splats import Splats
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.splats.spz import from_spz, to_spz
+from capture2vr.edge.splats.surface_splats import Splats
 
 
 @st.composite

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Bools, Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area
-from services.edge.splats.surface_splats import cover_with_splats
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area
+from capture2vr.edge.splats.surface_splats import cover_with_splats
 from tests.support.downloadable import SHEET, coloured, textured
 
 triangles = st.integers(0, 2**32 - 1).map(

@@ -12,18 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from services.edge.errors import Cancelled
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.mesh.simplify import simplify
-from services.edge.render.rays import Scene
-from services.edge.srgb import to_linear
-from services.edge.texture import texture_mesh
-from services.edge.texture import unwrap as unwrapping
-from services.edge.texture.bake import bake, find_texels, jpeg_of
-from services.edge.texture.nearest_colour import ColouredPoints
-from services.edge.texture.texture_mesh import Palette, needs_texture, texture_levels, texture_side, unwrap_and_bake
-from services.edge.texture.unwrap import UnwrapError, unwrap
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.mesh.simplify import simplify
+from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.srgb import to_linear
+from capture2vr.edge.texture import texture_mesh
+from capture2vr.edge.texture import unwrap as unwrapping
+from capture2vr.edge.texture.bake import bake, find_texels, jpeg_of
+from capture2vr.edge.texture.nearest_colour import ColouredPoints
+from capture2vr.edge.texture.texture_mesh import Palette, needs_texture, texture_levels, texture_side, unwrap_and_bake
+from capture2vr.edge.texture.unwrap import UnwrapError, unwrap
 from tests.support import surfaces
 
 SHEET = surfaces.patch(lambda u, v: [u, v, 0.2 * u * v], 10, 10)

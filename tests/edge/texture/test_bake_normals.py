@@ -10,14 +10,14 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
-from services.edge.errors import Cancelled
-from services.edge.export.shading import shaded
-from services.edge.mesh.normals import vertex_normals
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.texture.bake import find_texels, interpolate
-from services.edge.texture.bake_normals import FullShape, bake_normals
-from services.edge.texture.unwrap import unwrap
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.export.shading import shaded
+from capture2vr.edge.mesh.normals import vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.texture.bake import find_texels, interpolate
+from capture2vr.edge.texture.bake_normals import FullShape, bake_normals
+from capture2vr.edge.texture.unwrap import unwrap
 from tests.support import surfaces
 
 SIDE = 256

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from services.edge.errors import Cancelled
-from services.edge.mesh.nouns import Mesh
-from services.edge.srgb import to_linear, to_srgb
-from services.edge.texture.bake_photos import PhotoProjection, PosedPicture
-from services.edge.texture.nearest_colour import ColouredPoints
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.texture.bake_photos import PhotoProjection, PosedPicture
+from capture2vr.edge.texture.nearest_colour import ColouredPoints
 from tests.support import surfaces
 
 GROUND = surfaces.patch(lambda u, v: [u, v, 0 * u], 20, 20)  # in the unit frame: x and y from -½ to ½, z = 0

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Floats
-from services.edge.texture.match_exposures import match_exposures
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.texture.match_exposures import match_exposures
 
 PLACES, PHOTOS = 2_000, 8
 

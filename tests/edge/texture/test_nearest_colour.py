@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.mesh.nouns import Mesh
-from services.edge.srgb import to_linear, to_srgb
-from services.edge.texture.nearest_colour import transfer_colours
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.srgb import to_linear, to_srgb
+from capture2vr.edge.texture.nearest_colour import transfer_colours
 from tests.support import surfaces
 
 MESH = surfaces.grid_with_holes()

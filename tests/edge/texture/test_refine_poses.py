@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Bytes, Floats
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.texture.refine_poses import SeenPlaces, refine_poses
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.texture.refine_poses import SeenPlaces, refine_poses
 
 SIDE = 320  # pixels of a picture
 

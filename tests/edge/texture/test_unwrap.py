@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.errors import Cancelled
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.texture import unwrap as module
-from services.edge.texture.unwrap import UnwrapError, Unwrapped, unwrap
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.texture import unwrap as module
+from capture2vr.edge.texture.unwrap import UnwrapError, Unwrapped, unwrap
 from tests.edge.export.test_glb import moebius
 from tests.support import surfaces
 from tests.support.patience import CANCEL_S, PATIENCE_S

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats
-from services.edge.tiles.grid import STEPS, TileGrid
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.tiles.grid import STEPS, TileGrid
 
 LENGTH, WIDTH = 190.0, 60.0
 """Cells of the hall's floor along X and Z."""

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from services.edge.tiles.grid import SIDE, STEPS, TileGrid, name_of, neighbours, tile_of
+from capture2vr.edge.tiles.grid import SIDE, STEPS, TileGrid, name_of, neighbours, tile_of
 
 LOW, CELL = np.array([-3.0, 0.0, 7.0]), 0.01
 

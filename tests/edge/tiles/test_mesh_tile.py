@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from services.edge.arrays import no_tick
-from services.edge.tiles.grid import STEPS, TileGrid
-from services.edge.tiles.mesh_tile import mesh_tile
-from services.edge.tiles.weld import weld
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.tiles.grid import STEPS, TileGrid
+from capture2vr.edge.tiles.mesh_tile import mesh_tile
+from capture2vr.edge.tiles.weld import weld
 
 GRID = TileGrid(np.zeros(3), 1.0, np.array([64, 64, 64]))
 TILE = (0, 0, 0)

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 
 import pytest
 
-from services.edge.engine.address import open_engine
-from services.edge.engine.nouns import Engine, Needs
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.progress import Bar, Progress, Watch, ignore_progress
-from services.edge.tiles.parts import TRIES, PartWork, Span, run_parts
+from capture2vr.edge.engine.address import open_engine
+from capture2vr.edge.engine.nouns import Engine, Needs
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.progress import Bar, Progress, Watch, ignore_progress
+from capture2vr.edge.tiles.parts import TRIES, PartWork, Span, run_parts
 from tests.support import engine_tasks
 
 PLACES = ("here", "side by side")

@@ -19,30 +19,30 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import no_tick
-from services.edge.asset.target import NO_TARGET
-from services.edge.capture.nouns import Cloud, CloudParts
-from services.edge.convert.join_tiles import join_tiles
-from services.edge.engine.address import open_engine
-from services.edge.engine.nouns import Engine, Needs, OpenEngine
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.export.tileset import TILESET_FILE
-from services.edge.mesh.edges import border_edges
-from services.edge.mesh.nouns import Mesh
-from services.edge.points.nouns import Points
-from services.edge.preset import load_preset
-from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.texture import texture_mesh
-from services.edge.tiles import tile_points
-from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.grid import TileGrid, name_of
-from services.edge.tiles.level_files import LevelFiles
-from services.edge.tiles.parts import Span, run_parts
-from services.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles
-from services.edge.tiles.tile_levels import Node, ancestor_level, tile_level
-from services.edge.tiles.tile_points import bounds_of, sort_into_tiles, thin_tile
-from services.edge.tiles.tile_views import TileViews
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.asset.target import NO_TARGET
+from capture2vr.edge.capture.nouns import Cloud, CloudParts
+from capture2vr.edge.convert.join_tiles import join_tiles
+from capture2vr.edge.engine.address import open_engine
+from capture2vr.edge.engine.nouns import Engine, Needs, OpenEngine
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.export.tileset import TILESET_FILE
+from capture2vr.edge.mesh.edges import border_edges
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.preset import load_preset
+from capture2vr.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.texture import texture_mesh
+from capture2vr.edge.tiles import tile_points
+from capture2vr.edge.tiles.folder import SceneFolder
+from capture2vr.edge.tiles.grid import TileGrid, name_of
+from capture2vr.edge.tiles.level_files import LevelFiles
+from capture2vr.edge.tiles.parts import Span, run_parts
+from capture2vr.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles
+from capture2vr.edge.tiles.tile_levels import Node, ancestor_level, tile_level
+from capture2vr.edge.tiles.tile_points import bounds_of, sort_into_tiles, thin_tile
+from capture2vr.edge.tiles.tile_views import TileViews
 from tests.edge.tiles.hall import hall
 from tests.referees.glb_reader import Glb
 from tests.support import surfaces

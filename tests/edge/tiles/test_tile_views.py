@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats
-from services.edge.mesh.nouns import Mesh
-from services.edge.render.posed_picture import PosedPicture
-from services.edge.tiles.tile_views import MOST, TileViews
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.tiles.tile_views import MOST, TileViews
 
 SHEET = Mesh(
     np.array([[x, y, 2.0] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)]), np.array([[0, 1, 4], [4, 5, 8]])

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.errors import EdgeError
-from services.edge.pipeline import reconstruct
-from services.edge.preset import load_preset
-from services.edge.progress import Progress
-from services.edge.tiles.folder import tiles_folder
-from services.storage.bundle import Bundle, content_name, sha256_hex
-from services.storage.catalogue.publish import publish
-from services.storage.memory import MemoryStore
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.pipeline import reconstruct
+from capture2vr.edge.preset import load_preset
+from capture2vr.edge.progress import Progress
+from capture2vr.edge.tiles.folder import tiles_folder
+from capture2vr.storage.bundle import Bundle, content_name, sha256_hex
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.memory import MemoryStore
 from tests.edge.tiles.hall import hall
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Ints, no_tick
-from services.edge.mesh.edges import border_edges, edges_of
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import sample
-from services.edge.tiles.grid import TileGrid
-from services.edge.tiles.mesh_tile import mesh_tile
-from services.edge.tiles.tile_levels import joined
-from services.edge.tiles.weld import strip_of, weld
+from capture2vr.edge.arrays import Floats, Ints, no_tick
+from capture2vr.edge.mesh.edges import border_edges, edges_of
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.tiles.grid import TileGrid
+from capture2vr.edge.tiles.mesh_tile import mesh_tile
+from capture2vr.edge.tiles.tile_levels import joined
+from capture2vr.edge.tiles.weld import strip_of, weld
 from tests.edge.tiles.hall import BORDER, GRID, distance_to_hall, hall
 
 LEFT, RIGHT = (0, 0, 0), (1, 0, 0)

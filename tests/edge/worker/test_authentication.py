@@ -15,14 +15,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from pydantic import SecretStr
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.jobs.central_client import Central, CentralUnavailable
-from services.edge.worker.health import is_serving
-from services.edge.worker.scratch import Scratch
-from services.edge.worker.server import EdgeServer, serve
-from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
-from services.grpc_security import NO_CREDENTIALS, ClientCredentials, certificate_host
-from services.strict_settings import SettingsError
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.jobs.central_client import Central, CentralUnavailable
+from capture2vr.edge.worker.health import is_serving
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.edge.worker.server import EdgeServer, serve
+from capture2vr.edge.worker.settings import EdgeSettings, central_credentials, server_security
+from capture2vr.process.grpc_security import NO_CREDENTIALS, ClientCredentials, certificate_host
+from capture2vr.process.strict_settings import SettingsError
 from tests.edge.jobs.test_forward_job import QUICK, Standing
 from tests.support.edge_client import Client, Scripted, header_of
 from tests.support.patience import PATIENCE_S

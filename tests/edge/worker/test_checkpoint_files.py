@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from services.edge.tiles.folder import tiles_folder
-from services.edge.worker.checkpoint_files import KEEP_S, CheckpointFiles
+from capture2vr.edge.tiles.folder import tiles_folder
+from capture2vr.edge.worker.checkpoint_files import KEEP_S, CheckpointFiles
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from services.edge.worker.control_group import own_control_group
+from capture2vr.edge.worker.control_group import own_control_group
 
 GIB = 1 << 30
 NONE_IN_VERSION_1 = (1 << 63) - 4096

@@ -10,14 +10,14 @@ from pathlib import Path
 import grpc
 import pytest
 
-from services.download_formats import FORMATS
-from services.edge.api import edge_pb2 as pb
-from services.edge.arrays import Tick
-from services.edge.errors import EdgeError
-from services.edge.worker import downloads as module
-from services.edge.worker.job_request import RefusedError
-from services.edge.worker.scratch import Scratch
-from services.storage.catalogue.downloads import DownloadOrder, StoredDownload
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.worker import downloads as module
+from capture2vr.edge.worker.job_request import RefusedError
+from capture2vr.edge.worker.scratch import Scratch
+from capture2vr.order.download_formats import FORMATS
+from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
 from tests.support.edge_client import Client, Scripted, leftovers, until, worker
 
 SHA256 = "5" * 64

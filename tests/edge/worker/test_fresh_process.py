@@ -21,8 +21,8 @@ pytestmark = pytest.mark.slow
 INSPECT = """
 import os, sys, traceback
 from pathlib import Path
-from services.edge.capture.detect import read_capture
-from services.edge.jobs.inspect_capture import inspect, unpack_capture
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.jobs.inspect_capture import inspect, unpack_capture
 
 def answer(archive, scratch):
     found = inspect(unpack_capture(archive, scratch), None)

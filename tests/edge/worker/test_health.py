@@ -11,21 +11,21 @@ from pathlib import Path
 
 import pytest
 
-from services.cli.up import free_port
-from services.edge.worker.health import is_serving
+from capture2vr.cli.up import free_port
+from capture2vr.edge.worker.health import is_serving
 
 pytestmark = pytest.mark.slow
 
 
 def _check(environment: dict[str, str]) -> int:
-    return subprocess.run([sys.executable, "-m", "services.edge.worker.health"], env=environment).returncode
+    return subprocess.run([sys.executable, "-m", "capture2vr.edge.worker.health"], env=environment).returncode
 
 
 def test_the_check_follows_the_worker(tmp_path: Path) -> None:
     port = free_port()
     environment = {**os.environ, "EDGE_PORT": str(port), "EDGE_SCRATCH": str(tmp_path), "STORAGE_ROOT": str(tmp_path)}
     assert _check(environment) == 1, "nobody serves yet"
-    worker = subprocess.Popen([sys.executable, "-m", "services.cli", "edge"], env=environment)
+    worker = subprocess.Popen([sys.executable, "-m", "capture2vr.cli", "edge"], env=environment)
     try:
         deadline = time.monotonic() + 60
         while not is_serving(f"127.0.0.1:{port}"):
@@ -42,7 +42,7 @@ def test_the_check_follows_the_worker(tmp_path: Path) -> None:
 def test_a_device_that_is_not_there_stops_the_start_by_name(tmp_path: Path) -> None:
     environment = {**os.environ, "EDGE_DEVICE": "cuda:99", "EDGE_SCRATCH": str(tmp_path), "STORAGE_ROOT": str(tmp_path)}
     started = subprocess.run(
-        [sys.executable, "-m", "services.cli", "edge"], env=environment, capture_output=True, text=True
+        [sys.executable, "-m", "capture2vr.cli", "edge"], env=environment, capture_output=True, text=True
     )
     assert started.returncode == 2
     assert "EDGE_DEVICE: there is no cuda:99: " in started.stderr

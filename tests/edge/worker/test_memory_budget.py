@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from services.edge.errors import Cancelled
-from services.edge.worker import memory_budget as memory_module
-from services.edge.worker.control_group import ControlGroup
-from services.edge.worker.memory_budget import MemoryBudget, machine_bytes
+from capture2vr.edge.errors import Cancelled
+from capture2vr.edge.worker import memory_budget as memory_module
+from capture2vr.edge.worker.control_group import ControlGroup
+from capture2vr.edge.worker.memory_budget import MemoryBudget, machine_bytes
 
 
 @pytest.fixture(autouse=True)

@@ -11,8 +11,8 @@ from pathlib import Path
 import httpx
 from prometheus_client.parser import text_string_to_metric_families
 
-import services
-from services.storage.local import LocalStore
+import capture2vr
+from capture2vr.storage.local import LocalStore
 from tests.support.in_process_gateway import capture, ended, gateway, job_when, start, until
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
 
@@ -62,7 +62,7 @@ async def test_a_worker_tells_of_its_jobs(tmp_path: Path, unused_tcp_port_factor
     assert (found["capture2vr_worker_slots{}"], found["capture2vr_worker_busy_slots{}"]) == (2, 1)
     assert found["capture2vr_worker_draining{}"] == 0
     assert found["process_resident_memory_bytes{}"] > 1e7
-    assert found[f'capture2vr_worker_info{{"device": "cpu", "version": "{services.__version__}"}}'] == 1
+    assert found[f'capture2vr_worker_info{{"device": "cpu", "version": "{capture2vr.__version__}"}}'] == 1
     lines = [json.loads(line) for line in (tmp_path / "edge.log").read_text().splitlines() if line.startswith("{")]
     mine = [line["message"] for line in lines if line.get("job") == good]
     assert any("starts" in line for line in mine)

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from services.edge.worker.scratch import Scratch
+from capture2vr.edge.worker.scratch import Scratch
 
 MAKE = "import tempfile; print(tempfile.mkdtemp())"
 

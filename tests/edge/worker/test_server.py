@@ -12,13 +12,13 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.errors import CaptureError, EdgeError
-from services.edge.worker import event_log
-from services.edge.worker import job_queue as runs_module
-from services.edge.worker.checkpoint_files import CheckpointFiles
-from services.edge.worker.job_request import RefusedError
-from services.edge.worker.server import SERVICE
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.errors import CaptureError, EdgeError
+from capture2vr.edge.worker import event_log
+from capture2vr.edge.worker import job_queue as runs_module
+from capture2vr.edge.worker.checkpoint_files import CheckpointFiles
+from capture2vr.edge.worker.job_request import RefusedError
+from capture2vr.edge.worker.server import SERVICE
 from tests.support.edge_client import Client, Scripted, leftovers, until, upload, worker
 from tests.support.patience import CANCEL_S, PATIENCE_S
 

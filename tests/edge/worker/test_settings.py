@@ -8,8 +8,8 @@ import pytest
 from pydantic import SecretStr, ValidationError
 from pydantic_settings import SettingsConfigDict
 
-from services.edge.worker.settings import EdgeSettings
-from services.strict_settings import CommaList, SettingsError, StrictSettings
+from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.process.strict_settings import CommaList, SettingsError, StrictSettings
 
 
 class Sample(StrictSettings):

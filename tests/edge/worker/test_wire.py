@@ -15,11 +15,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.worker import authentication
-from services.edge.worker import upload as upload_module
-from services.edge.worker.job_request import RefusedError
-from services.edge.worker.upload import receive
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.worker import authentication
+from capture2vr.edge.worker import upload as upload_module
+from capture2vr.edge.worker.job_request import RefusedError
+from capture2vr.edge.worker.upload import receive
 from tests.support.edge_client import Client, Scripted, data_of, header_of, leftovers, trailer_of, until, upload, worker
 from tests.support.repository import ROOT
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from services.gateway.access import store as module
-from services.gateway.access.api_key import KEY_PATTERN, hash_of, new_secret
-from services.gateway.access.caller import Scope
-from services.gateway.access.store import AccessStore
-from services.gateway.database import metadata, open_engine
+from capture2vr.gateway.access import store as module
+from capture2vr.gateway.access.api_key import KEY_PATTERN, hash_of, new_secret
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.database.database import metadata, open_engine
 
 READ = (Scope.READ,)
 

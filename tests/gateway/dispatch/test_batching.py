@@ -7,8 +7,8 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from services.gateway.dispatch.batching import batch_reports
-from services.gateway.jobs.reports import AnchorsFound, Report, RunFinished, VersionPublished
+from capture2vr.gateway.dispatch.batching import batch_reports
+from capture2vr.gateway.jobs.reports import AnchorsFound, Report, RunFinished, VersionPublished
 from tests.support.patience import PATIENCE_S
 
 PUBLISHED = VersionPublished(1, "dress", 1, "refined", "m")

@@ -14,7 +14,7 @@ import httpx
 import pytest
 from pydantic import SecretStr
 
-import services
+import capture2vr
 from tests.support.gateway_process import running
 from tests.support.in_process_gateway import (
     Making,
@@ -129,7 +129,7 @@ async def test_a_worker_of_another_version_gets_no_job_and_is_named(
     work = Making(store)
     async with worker(work, tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
         with monkeypatch.context() as patch:
-            patch.setattr(services, "__version__", "0.2.0")  # the worker has read its own before
+            patch.setattr(capture2vr, "__version__", "0.2.0")  # the worker has read its own before
             job = await start(client, capture(store))
             ready = (await client.get("/readyz")).json()
             assert ready["ready"] is False

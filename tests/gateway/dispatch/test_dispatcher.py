@@ -13,11 +13,11 @@ from typing import Any
 import httpx
 import pytest
 
-from services.edge.worker import scratch
-from services.gateway.database import create_engine
-from services.gateway.jobs.tables import jobs
-from services.storage.catalogue.entry import read_entry
-from services.storage.memory import MemoryStore
+from capture2vr.edge.worker import scratch
+from capture2vr.gateway.database.database import create_engine
+from capture2vr.gateway.jobs.tables import jobs
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.memory import MemoryStore
 from tests.support.away_store import AwayStore
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, job_when, memory, start, worker
 

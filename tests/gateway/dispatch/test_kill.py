@@ -16,8 +16,8 @@ from typing import Any
 import httpx
 import pytest
 
-from services.storage.catalogue.entry import read_entry
-from services.storage.local import LocalStore
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.local import LocalStore
 from tests.support import in_process_gateway
 from tests.support.guarded_worker import children, count_kills
 from tests.support.in_process_gateway import capture
@@ -44,7 +44,7 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
         **shared,
     )
     gateway = ServiceProcess(
-        "services.gateway",
+        "capture2vr.gateway",
         tmp_path / "gateway.log",
         GATEWAY_PORT=gateway_port,
         GATEWAY_DATA_DIR=tmp_path / "gateway",

@@ -14,8 +14,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.storage.catalogue.entry import read_entry
-from services.storage.local import LocalStore
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.local import LocalStore
 from tests.edge.jobs.test_reconstruct_job import hemisphere_ply
 from tests.support import in_process_gateway
 from tests.support.in_process_gateway import ended, events, gateway, start

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gateway.errors import Problem
-from services.gateway.jobs.collection_choice import choose_collection, require_collection
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.collection_choice import choose_collection, require_collection
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.bundles import bundle, listed
 from tests.support.in_process_gateway import Making, capture, ended, gateway, job_when, memory, start, worker
 

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.gateway.database import open_engine
-from services.gateway.jobs.job import Job, Order
-from services.gateway.jobs.reports import RunFinished, VersionPublished
-from services.gateway.jobs.state_machine import Retry, apply_reports, lease_to_worker, requeue_refused
-from services.gateway.jobs.store import JobStore
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.jobs.job import Job, Order
+from capture2vr.gateway.jobs.reports import RunFinished, VersionPublished
+from capture2vr.gateway.jobs.state_machine import Retry, apply_reports, lease_to_worker, requeue_refused
+from capture2vr.gateway.jobs.store import JobStore
 
 ORDER = Order("cap_1", "draft", "dress")
 LATE = 1e12

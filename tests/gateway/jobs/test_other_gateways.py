@@ -12,16 +12,16 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
-from services.gateway import postgres_notify
-from services.gateway.database import open_engine
-from services.gateway.dispatch import dispatcher
-from services.gateway.jobs import job_news, other_gateways
-from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.job import Order
-from services.gateway.jobs.other_gateways import OtherGateways
-from services.gateway.jobs.state_machine import lease_to_worker, request_cancel, requeue_refused
-from services.gateway.jobs.store import JobStore
-from services.storage.tenant_store import DEFAULT_TENANT as HOME
+from capture2vr.gateway.database import postgres_notify
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.dispatch import dispatcher
+from capture2vr.gateway.jobs import job_news, other_gateways
+from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.job import Order
+from capture2vr.gateway.jobs.other_gateways import OtherGateways
+from capture2vr.gateway.jobs.state_machine import lease_to_worker, request_cancel, requeue_refused
+from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.storage.tenant_store import DEFAULT_TENANT as HOME
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, memory, start, worker
 from tests.support.patience import PATIENCE_S
 

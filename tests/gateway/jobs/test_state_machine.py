@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from services.gateway.errors import Problem
-from services.gateway.jobs.job import TERMINAL, Job, Order, State
-from services.gateway.jobs.reports import (
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.job import TERMINAL, Job, Order, State
+from capture2vr.gateway.jobs.reports import (
     AnchorsFound,
     Report,
     RunFailed,
@@ -21,7 +21,7 @@ from services.gateway.jobs.reports import (
     VersionPublished,
     coalesce,
 )
-from services.gateway.jobs.state_machine import (
+from capture2vr.gateway.jobs.state_machine import (
     NEXT_STATES,
     RUNNING_STATES,
     Change,

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gateway.database import open_engine
-from services.gateway.errors import Problem
-from services.gateway.jobs import tables
-from services.gateway.jobs.job import Job, Order, State
-from services.gateway.jobs.reports import Report, RunFinished, RunProgress, VersionPublished
-from services.gateway.jobs.state_machine import (
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs import tables
+from capture2vr.gateway.jobs.job import Job, Order, State
+from capture2vr.gateway.jobs.reports import Report, RunFinished, RunProgress, VersionPublished
+from capture2vr.gateway.jobs.state_machine import (
     Change,
     LeaseLost,
     Retry,
@@ -27,8 +27,8 @@ from services.gateway.jobs.state_machine import (
     request_cancel,
     take_over,
 )
-from services.gateway.jobs.store import JOB_ID, JobStore, NextJob, Slot, SlotTaken, new_job_id
-from services.storage.tenant_store import DEFAULT_TENANT
+from capture2vr.gateway.jobs.store import JOB_ID, JobStore, NextJob, Slot, SlotTaken, new_job_id
+from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object", box=(0.25, 0.125, 0.75, 1.0))
 RETRY = Retry(3, 1.0)

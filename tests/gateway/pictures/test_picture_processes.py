@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from services.gateway.errors import Problem
-from services.gateway.pictures import picture_processes
-from services.gateway.pictures.picture_processes import PictureProcesses
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.pictures import picture_processes
+from capture2vr.gateway.pictures.picture_processes import PictureProcesses
 from tests.support.patience import PATIENCE_S
 
 

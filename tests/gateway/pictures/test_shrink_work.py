@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.edge.capture.files import Folder
-from services.edge.capture.photos import read_photo
-from services.gateway.pictures.shrink_work import LONGEST_PX, shrink
+from capture2vr.edge.capture.files import Folder
+from capture2vr.edge.capture.photos import read_photo
+from capture2vr.gateway.pictures.shrink_work import LONGEST_PX, shrink
 
 RGB = np.random.default_rng(3).integers(0, 256, (6, 8, 3), np.uint8).repeat(8, axis=0).repeat(8, axis=1)  # 64 x 48
 FORMATS = {

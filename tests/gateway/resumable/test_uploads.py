@@ -18,17 +18,17 @@ from fastapi import FastAPI
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from services.gateway.app import create_app
-from services.gateway.database import open_engine
-from services.gateway.jobs.capture_objects import new_capture
-from services.gateway.resumable.expiry import KEEP_S, Expiry
-from services.gateway.resumable.store import UploadStore
-from services.gateway.routes import uploads as uploads_routes
-from services.gateway.settings import GatewaySettings
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.store import Store, list_all
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.jobs.capture_objects import new_capture
+from capture2vr.gateway.resumable.expiry import KEEP_S, Expiry
+from capture2vr.gateway.resumable.store import UploadStore
+from capture2vr.gateway.routes import uploads as uploads_routes
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store, list_all
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import s3_store
 from tests.support import private_pictures

@@ -9,8 +9,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.gateway.access import authentication, guesses
-from services.gateway.access.caller import Scope
+from capture2vr.gateway.access import authentication, guesses
+from capture2vr.gateway.access.caller import Scope
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.tenants import bearer, make_key, two_tenants
 
@@ -80,8 +80,8 @@ async def test_other_gateways_refuse_a_revoked_key_when_their_cache_is_old(
         gateway(tmp_path / "one", memory(), database_url=database) as one,
         gateway(tmp_path / "two", memory(), database_url=database) as two,
     ):
-        from services.gateway.access.store import AccessStore
-        from services.gateway.database import open_engine
+        from capture2vr.gateway.access.store import AccessStore
+        from capture2vr.gateway.database.database import open_engine
 
         engine = open_engine(database)
         AccessStore(engine).ensure_tenant("ada")
@@ -304,8 +304,8 @@ async def test_the_last_use_of_a_key_is_stored(tmp_path: Path) -> None:
     began = time.time()
     async with gateway(tmp_path / "gw", memory()) as client:
         await client.get("/v1/jobs", headers=bearer(secret))
-    from services.gateway.access.store import AccessStore
-    from services.gateway.database import open_engine
+    from capture2vr.gateway.access.store import AccessStore
+    from capture2vr.gateway.database.database import open_engine
 
     engine = open_engine(f"sqlite:///{tmp_path / 'gw' / 'gateway.db'}")
     (key,) = AccessStore(engine).list_keys("ada", limit=2)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from fastapi import APIRouter
 
-from services.gateway.access.caller import Scope
-from services.gateway.routes.access_rules import ANYONE, check_rules, needs
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.routes.access_rules import ANYONE, check_rules, needs
 
 
 def test_a_route_without_a_rule_is_refused_by_name() -> None:

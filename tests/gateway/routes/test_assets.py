@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gateway.app import create_app
-from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches, parse_range
-from services.gateway.settings import GatewaySettings
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.store import IMMUTABLE, Store
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.routes.http_ranges import UnsatisfiableError, etag_matches, parse_range
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import IMMUTABLE, Store
 from tests.support.bundles import bundle
 
 

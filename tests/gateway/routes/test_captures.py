@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from services.gateway.jobs.capture_objects import capture_name, receipt_name
+from capture2vr.gateway.jobs.capture_objects import capture_name, receipt_name
 from tests.support.in_process_gateway import gateway, memory
 
 CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"

@@ -11,16 +11,16 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from services.gateway.app import create_app
-from services.gateway.settings import GatewaySettings
-from services.storage.catalogue.collection import RETIRED_SHARDS, index_name, read_index
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import Keys, check_signatures, public_key
-from services.storage.catalogue.verify import verify
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.store import Store
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.catalogue.collection import RETIRED_SHARDS, index_name, read_index
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import Keys, check_signatures, public_key
+from capture2vr.storage.catalogue.verify import verify
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store
 from tests.storage.catalogue.test_signing import ONE, TWO
 from tests.support.bundles import Crash, CrashingStore, bundle, listed
 

@@ -14,15 +14,15 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
-from services.gateway.access.store import AccessStore
-from services.gateway.database import open_engine
-from services.gateway.records.audit_log import AuditStore
-from services.gateway.records.tenant_data import DAY_S, TenantData
-from services.storage.catalogue.verify import verify
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.store import Store, list_all
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.records.audit_log import AuditStore
+from capture2vr.gateway.records.tenant_data import DAY_S, TenantData
+from capture2vr.storage.catalogue.verify import verify
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store, list_all
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.in_process_gateway import ended, gateway, memory, start, until
 from tests.support.receivers import receiver
 from tests.support.tenants import make_key, publish_for, two_tenants

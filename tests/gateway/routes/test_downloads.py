@@ -14,16 +14,16 @@ import httpx
 import pytest
 import trimesh
 
-from services.edge.arrays import Tick
-from services.edge.errors import EdgeError
-from services.edge.jobs.make_download import make_download
-from services.gateway.dispatch import downloads as module
-from services.storage.bundle import Bundle
-from services.storage.catalogue.downloads import DownloadOrder, StoredDownload
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
-from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.edge.arrays import Tick
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.jobs.make_download import make_download
+from capture2vr.gateway.dispatch import downloads as module
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.downloadable import SHEET, SLATE, downloadable
 from tests.support.in_process_gateway import gateway, memory, until, worker
 from tests.support.scripted_work import Making

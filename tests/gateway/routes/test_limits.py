@@ -10,9 +10,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.gateway.access import usage
-from services.storage.local import LocalStore
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access import usage
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.away_store import AwayStore
 from tests.support.in_process_gateway import capture, memory
 from tests.support.tenants import TwoTenants, publish_for, two_tenants
@@ -59,7 +59,7 @@ async def test_requests_a_minute(tmp_path: Path) -> None:
 async def test_an_addresss_requests_are_counted_before_its_key_is_looked_at(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.gateway.access.limits.is_own", lambda _: False)
+    monkeypatch.setattr("capture2vr.gateway.access.limits.is_own", lambda _: False)
     async with two_tenants(tmp_path, memory(), limit_address_requests_per_minute=3) as site:
         bad = {"Authorization": "Bearer c2v_ada_" + "x" * 43}
         answers = [await site.anonymous.get("/v1/jobs", headers=bad) for _ in range(5)]

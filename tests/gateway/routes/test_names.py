@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.gateway.routes.test_repeat_job import stored_order
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import capture, gateway, memory

@@ -9,10 +9,10 @@ from typing import Any
 import httpx
 import pytest
 
-from services.gateway.access.caller import Scope
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.visibility import Visibility
-from services.storage.local import LocalStore
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.local import LocalStore
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.tenants import bearer, make_key, publish_for, two_tenants

@@ -19,8 +19,8 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from services.gateway.app import create_app
-from services.gateway.settings import GatewaySettings
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.settings import GatewaySettings
 from tests.support.in_process_gateway import capture, memory
 
 _NOT_ASKED = {

@@ -12,10 +12,10 @@ import httpx
 import pytest
 from PIL import Image
 
-from services.gateway.jobs.capture_objects import capture_name, receipt_name
-from services.gateway.uploads.image_checks import load_pillow
-from services.storage.memory import MemoryStore
-from services.storage.store import Store
+from capture2vr.gateway.jobs.capture_objects import capture_name, receipt_name
+from capture2vr.gateway.uploads.image_checks import load_pillow
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store
 from tests.support.in_process_gateway import gateway, memory
 
 

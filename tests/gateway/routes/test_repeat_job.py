@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from services.gateway.database import open_engine
-from services.gateway.jobs.capture_objects import capture_name
-from services.gateway.jobs.job import Order
-from services.gateway.jobs.store import JobStore
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.jobs.capture_objects import capture_name
+from capture2vr.gateway.jobs.job import Order
+from capture2vr.gateway.jobs.store import JobStore
 from tests.support.in_process_gateway import capture, gateway, memory
 
 OPTIONS = {"label": "My dress", "preset": "draft", "longest_m": 0.31, "fill": "all", "target": "quest3"}

@@ -16,12 +16,12 @@ import httpx
 import pytest
 from limits import RateLimitItemPerMinute
 
-from services.gateway.access import limits, sharing
-from services.gateway.access.caller import Scope
-from services.gateway.routes import scene_events
-from services.gateway.scenes import reads
-from services.storage.catalogue.scene_documents import replace_scene, scene_name
-from services.storage.store import Store
+from capture2vr.gateway.access import limits, sharing
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.routes import scene_events
+from capture2vr.gateway.scenes import reads
+from capture2vr.storage.catalogue.scene_documents import replace_scene, scene_name
+from capture2vr.storage.store import Store
 from tests.gateway.routes.test_access import code_of
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.patience import PATIENCE_S
@@ -127,7 +127,7 @@ async def test_who_has_lost_some_versions_gets_the_newest_alone(site: TwoTenants
 async def test_what_is_moved_is_told_and_not_stored(
     site: TwoTenants, scene: str, store: Store, caplog: pytest.LogCaptureFixture
 ) -> None:
-    caplog.set_level(logging.DEBUG, "services.gateway.requests")
+    caplog.set_level(logging.DEBUG, "capture2vr.gateway.requests")
     before = (await site.ada.get(scene)).json()
     async with following(site.ada, scene, params={"after": 1}) as one, following(site.ada, scene) as other:
         await following_event(other)

@@ -9,10 +9,10 @@ from typing import Any
 import httpx
 import pytest
 
-from services.gateway.access.caller import Scope
-from services.storage.catalogue.scene_documents import scene_name
-from services.storage.local import LocalStore
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.storage.catalogue.scene_documents import scene_name
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.gateway.routes.test_access import code_of
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.tenants import TwoTenants, bearer, make_key, publish_for, two_tenants

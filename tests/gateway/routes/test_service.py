@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from services.storage.local import LocalStore
+from capture2vr.storage.local import LocalStore
 from tests.support.in_process_gateway import Making, capture, ended, gateway, job_when, memory, start, worker
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import httpx
 import pytest
 
-from services.gateway.access import guesses, shares, sharing
-from services.gateway.access.caller import Scope
-from services.storage.catalogue.visibility import Visibility
-from services.storage.local import LocalStore
+from capture2vr.gateway.access import guesses, shares, sharing
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.local import LocalStore
 from tests.gateway.routes.test_access import code_of
 from tests.support.in_process_gateway import gateway, until
 from tests.support.tenants import TwoTenants, bearer, make_key, publish_for, two_tenants

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import gateway
 

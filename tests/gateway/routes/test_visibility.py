@@ -8,14 +8,14 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.gateway.access import authentication, readers
-from services.gateway.access.caller import Scope
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.visibility import Visibility
-from services.storage.catalogue.visibility_update import set_asset_visibility
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access import authentication, readers
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.catalogue.visibility_update import set_asset_visibility
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.gateway.routes.test_access import code_of
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import capture, ended, gateway, start, until, worker

@@ -9,8 +9,8 @@ import httpx
 import pytest
 from standardwebhooks import Webhook
 
-from services.gateway.webhooks import outbox
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.webhooks import outbox
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.in_process_gateway import capture, ended, gateway, memory, start, worker
 from tests.support.receivers import receiver
 from tests.support.scripted_work import Making

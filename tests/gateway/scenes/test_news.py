@@ -10,16 +10,16 @@ from typing import Any
 import pytest
 from sqlalchemy.engine import Engine
 
-from services.gateway.access.readers import ReadersCache, Thing
-from services.gateway.database import open_engine
-from services.gateway.routes import scene_events
-from services.gateway.scenes.listener import Listener
-from services.gateway.scenes.moves import MOST_MOVED, MovedItem, Moves, moves_as_json, moves_from_json
-from services.gateway.scenes.news import SceneNews
-from services.gateway.scenes.reads import SceneReads
-from services.storage.catalogue.scene import MOST_ITEMS
-from services.storage.catalogue.scene_documents import create_scene, replace_scene
-from services.storage.memory import MemoryStore
+from capture2vr.gateway.access.readers import ReadersCache, Thing
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.routes import scene_events
+from capture2vr.gateway.scenes.listener import Listener
+from capture2vr.gateway.scenes.moves import MOST_MOVED, MovedItem, Moves, moves_as_json, moves_from_json
+from capture2vr.gateway.scenes.news import SceneNews
+from capture2vr.gateway.scenes.reads import SceneReads
+from capture2vr.storage.catalogue.scene import MOST_ITEMS
+from capture2vr.storage.catalogue.scene_documents import create_scene, replace_scene
+from capture2vr.storage.memory import MemoryStore
 from tests.gateway.routes.test_scene_events import THERE, Told, following, following_event, move, replaced, saved
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.patience import PATIENCE_S

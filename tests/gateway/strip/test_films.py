@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gateway.strip import matroska, mp4
-from services.gateway.strip.in_place import CleanResult, UnreadableError
+from capture2vr.gateway.strip import matroska, mp4
+from capture2vr.gateway.strip.in_place import CleanResult, UnreadableError
 from tests.support import private_pictures
 from tests.support.private_pictures import EBML, OPEN, OWNER, PLACE, box, element, handler
 

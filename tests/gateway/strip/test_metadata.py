@@ -20,10 +20,10 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
-from services.apple_maker_note import read_acceleration
-from services.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
-from services.gateway.strip.exif import clean_exif
-from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
+from capture2vr.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
+from capture2vr.gateway.strip.exif import clean_exif
+from capture2vr.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
+from capture2vr.order.apple_maker_note import read_acceleration
 from tests.support import private_pictures
 from tests.support.maker_notes import SECRET, apple_note
 from tests.support.private_pictures import (

@@ -18,15 +18,15 @@ import pytest
 from fastapi import FastAPI
 from PIL import Image
 
-import services
-from services.edge.api import edge_pb2 as pb
-from services.edge.api import edge_pb2_grpc
-from services.gateway.app import create_app
-from services.gateway.settings import GatewaySettings
-from services.storage.archives import unpack
-from services.storage.bundle import sha256_hex
-from services.storage.memory import MemoryStore
-from services.storage.store import Head
+import capture2vr
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.api import edge_pb2_grpc
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.process.archives import unpack
+from capture2vr.storage.bundle import sha256_hex
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Head
 from tests.support import private_pictures
 from tests.support.patience import HANG_S
 
@@ -375,7 +375,7 @@ class _Worker(edge_pb2_grpc.EdgeReconstructionServicer):
         self.headers: list[pb.Header] = []
 
     async def GetWorker(self, request: Any, context: Any) -> pb.Worker:  # noqa: N802 - the wire's name
-        return pb.Worker(version=services.__version__, slots=1, free_slots=1)
+        return pb.Worker(version=capture2vr.__version__, slots=1, free_slots=1)
 
     async def Inspect(self, chunks: AsyncIterator[pb.Chunk], context: Any) -> pb.Inspection:  # noqa: N802
         await context.send_initial_metadata(())  # admits the upload, as edge.proto has it

@@ -14,10 +14,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from services.fork_client import ForkServer
-from services.gateway.errors import Problem
-from services.gateway.uploads.check_and_pack import CheckOrder
-from services.gateway.uploads.check_processes import CheckProcesses
+from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.uploads.check_and_pack import CheckOrder
+from capture2vr.gateway.uploads.check_processes import CheckProcesses
+from capture2vr.process.fork_client import ForkServer
 from tests.support.patience import PATIENCE_S
 
 CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
@@ -26,7 +26,7 @@ CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
 SCRIPTED = """
 import errno, os, signal, socket, sys, time
 from services import fork_server
-from services.gateway.uploads import check_work, process_limits
+from capture2vr.gateway.uploads import check_work, process_limits
 def check_and_pack(order, begin):
     begin("a.ply")
     {does}

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.storage.archives import unpack
-from services.storage.memory import MemoryStore
-from services.storage.store import Store, list_all
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.process.archives import unpack
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store, list_all
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support import private_pictures
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.tenants import two_tenants

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import pytest
 from sqlalchemy.engine import Engine
 
-from services.gateway.access.store import AccessStore
-from services.gateway.database import open_engine
-from services.gateway.webhooks.outbox import DELAYS_S, EVENTS, KEEP_S, PLACES_A_TENANT, Delivery, Event, Outbox
-from services.gateway.webhooks.store import WebhookStore
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.webhooks.outbox import DELAYS_S, EVENTS, KEEP_S, PLACES_A_TENANT, Delivery, Event, Outbox
+from capture2vr.gateway.webhooks.store import WebhookStore
 
 LATE = time.time() + 1e6
 EVENT = Event("job.succeeded", "job_1 7", {"job": "job_1"})

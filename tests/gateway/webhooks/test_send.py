@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from standardwebhooks import Webhook
 
-from services.gateway.webhooks import send
-from services.gateway.webhooks.outbox import Delivery, Message
-from services.gateway.webhooks.send import Outcome, Sender, is_public
-from services.gateway.webhooks.store import new_secret
+from capture2vr.gateway.webhooks import send
+from capture2vr.gateway.webhooks.outbox import Delivery, Message
+from capture2vr.gateway.webhooks.send import Outcome, Sender, is_public
+from capture2vr.gateway.webhooks.store import new_secret
 from tests.support.receivers import receiver
 from tests.support.tls_certificates import Authority
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import httpx
 
-from services.cli.up import free_port
+from capture2vr.cli.up import free_port
 from tests.referees.docker.engine import Engine
 from tests.referees.docker.stand_ins import VARIABLES
 from tests.support.patience import HANG_S

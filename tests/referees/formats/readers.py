@@ -18,7 +18,7 @@ import numpy as np
 import trimesh
 from trimesh.visual import TextureVisuals
 
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
 from tests.referees.godot.engine import project
 from tests.referees.usd.reader import UsdCore
 from tests.support.npm_packages import installed, wheels

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.export.ktx2 import Ktx2Encoder
+from capture2vr.edge.export.ktx2 import Ktx2Encoder
 from tests.support.npm_packages import installed
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.edge.arrays import Floats, Ints
+from capture2vr.edge.arrays import Floats, Ints
 from tests.support.npm_packages import wheels
 from tests.support.patience import HANG_S
 

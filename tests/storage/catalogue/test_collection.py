@@ -16,8 +16,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.storage.catalogue import update
-from services.storage.catalogue.collection import (
+from capture2vr.storage.catalogue import update
+from capture2vr.storage.catalogue.collection import (
     RETIRED_SHARDS,
     Index,
     Row,
@@ -29,10 +29,10 @@ from services.storage.catalogue.collection import (
     shard_data,
     sign_index,
 )
-from services.storage.catalogue.collection import describe_shard as as_listed
-from services.storage.catalogue.compare_and_swap import canonical_json
-from services.storage.catalogue.entry import entry_name, read_entry
-from services.storage.catalogue.faults import (
+from capture2vr.storage.catalogue.collection import describe_shard as as_listed
+from capture2vr.storage.catalogue.compare_and_swap import canonical_json
+from capture2vr.storage.catalogue.entry import entry_name, read_entry
+from capture2vr.storage.catalogue.faults import (
     CATALOGUE_OLDER,
     CATALOGUE_OTHER,
     CATALOGUE_TRUNCATED,
@@ -44,13 +44,13 @@ from services.storage.catalogue.faults import (
     SIGNING_KEY_MISSING,
     CatalogueFault,
 )
-from services.storage.catalogue.publish import KeyElsewhere, PublishedAsset, publish
-from services.storage.catalogue.removal import remove, restore
-from services.storage.catalogue.signing import Keys
-from services.storage.catalogue.update import rebuild, update_collections
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.store import Head, Store, list_all
+from capture2vr.storage.catalogue.publish import KeyElsewhere, PublishedAsset, publish
+from capture2vr.storage.catalogue.removal import remove, restore
+from capture2vr.storage.catalogue.signing import Keys
+from capture2vr.storage.catalogue.update import rebuild, update_collections
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Head, Store, list_all
 from tests.referees.s3.server import S3Server
 from tests.storage.catalogue.test_publish import _in_processes
 from tests.storage.catalogue.test_signing import ONE, TWO

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from services.storage.catalogue import update
-from services.storage.catalogue.collection import index_name, read_index
-from services.storage.catalogue.deletion import delete_asset, delete_everything
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.catalogue.verify import verify
-from services.storage.memory import MemoryStore
-from services.storage.store import Store, list_all
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.storage.catalogue import update
+from capture2vr.storage.catalogue.collection import index_name, read_index
+from capture2vr.storage.catalogue.deletion import delete_asset, delete_everything
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.catalogue.verify import verify
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store, list_all
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.storage.catalogue.test_signing import ONE
 from tests.support.bundles import Crash, bundle, listed
 

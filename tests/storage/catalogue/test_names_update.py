@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from services.asset_names import AssetNames
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.names_update import change_names
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import Keys
-from services.storage.memory import MemoryStore
-from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.locations import parse_assets
-from services.storage.unity.publication import catalogue_names
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.names_update import change_names
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import Keys
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.unity.json_reader import read_json_catalogue
+from capture2vr.storage.unity.locations import parse_assets
+from capture2vr.storage.unity.publication import catalogue_names
 from tests.storage.catalogue.test_signing import ONE
 from tests.support.bundles import bundle, listed
 

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.asset_notes import MOST_NOTES, Note, NoteRefused, carry
-from services.storage.catalogue.change_entry import change_entry
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.names_update import change_names
-from services.storage.catalogue.notes_update import UnknownNote, add_note, change_note, remove_note
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import NO_KEYS
-from services.storage.catalogue.versions import restore_version
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
+from capture2vr.storage.catalogue.asset_notes import MOST_NOTES, Note, NoteRefused, carry
+from capture2vr.storage.catalogue.change_entry import change_entry
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.names_update import change_names
+from capture2vr.storage.catalogue.notes_update import UnknownNote, add_note, change_note, remove_note
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import NO_KEYS
+from capture2vr.storage.catalogue.versions import restore_version
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
 from tests.support.bundles import bundle
 
 MARKUP = '<img src=x onerror="alert(1)">'

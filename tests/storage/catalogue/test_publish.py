@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from services.storage.bundle import FilesOnDisk
-from services.storage.catalogue.entry import Entry, alias_name, list_keys, read_entry, valid_key
-from services.storage.catalogue.publish import StaleFence, publish
-from services.storage.local import LocalStore
-from services.storage.memory import MemoryStore
-from services.storage.store import IMMUTABLE, NO_CACHE, Store, list_all
+from capture2vr.storage.bundle import FilesOnDisk
+from capture2vr.storage.catalogue.entry import Entry, alias_name, list_keys, read_entry, valid_key
+from capture2vr.storage.catalogue.publish import StaleFence, publish
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import IMMUTABLE, NO_CACHE, Store, list_all
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import near_store, s3_store
 from tests.support.bundles import Crash, CrashingStore, bundle, listed

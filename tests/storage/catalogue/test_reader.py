@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.storage.catalogue.collection import Index, Row, Shard, describe_shard
-from services.storage.catalogue.faults import SHARD_CHANGED, SHARD_MISSING, CatalogueFault
-from services.storage.catalogue.reader import collection_names, find_row, retry_if_shard_missing
-from services.storage.store import Store
+from capture2vr.storage.catalogue.collection import Index, Row, Shard, describe_shard
+from capture2vr.storage.catalogue.faults import SHARD_CHANGED, SHARD_MISSING, CatalogueFault
+from capture2vr.storage.catalogue.reader import collection_names, find_row, retry_if_shard_missing
+from capture2vr.storage.store import Store
 
 KEYS = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,8}", fullmatch=True)
 

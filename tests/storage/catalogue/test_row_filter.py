@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.storage.catalogue.collection import Row
-from services.storage.catalogue.row_filter import RowFilter
+from capture2vr.storage.catalogue.collection import Row
+from capture2vr.storage.catalogue.row_filter import RowFilter
 from tests.storage.catalogue.test_collection import rows
 
 SECONDS = st.integers(0, 2**33)

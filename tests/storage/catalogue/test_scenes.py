@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from services.storage.catalogue import scene_documents
-from services.storage.catalogue.faults import CatalogueFault
-from services.storage.catalogue.scene import PlacedAsset, Scene, parse_scene
-from services.storage.catalogue.scene_documents import (
+from capture2vr.storage.catalogue import scene_documents
+from capture2vr.storage.catalogue.faults import CatalogueFault
+from capture2vr.storage.catalogue.scene import PlacedAsset, Scene, parse_scene
+from capture2vr.storage.catalogue.scene_documents import (
     SceneChanged,
     TooManyScenes,
     create_scene,
@@ -23,8 +23,8 @@ from services.storage.catalogue.scene_documents import (
     replace_scene,
     scene_name,
 )
-from services.storage.memory import MemoryStore
-from services.storage.store import Store
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store
 
 CHAIR = PlacedAsset("a", "chair", (0.0, 0.0, -1.5))
 TABLE = PlacedAsset("b", "table", (1.0, 0.0, -1.5), (0.0, 0.6, 0.0, 0.8), 2.0)

@@ -14,8 +14,9 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.storage.catalogue.faults import KEY_UNKNOWN, SIGNATURE_MISSING, SIGNATURE_WRONG, CatalogueFault
-from services.storage.catalogue.signing import (
+from capture2vr.process.strict_settings import SettingsError
+from capture2vr.storage.catalogue.faults import KEY_UNKNOWN, SIGNATURE_MISSING, SIGNATURE_WRONG, CatalogueFault
+from capture2vr.storage.catalogue.signing import (
     KeyFileError,
     Keys,
     Signer,
@@ -25,8 +26,7 @@ from services.storage.catalogue.signing import (
     read_public_key,
     read_signer,
 )
-from services.storage.settings import StorageSettings, open_keys
-from services.strict_settings import SettingsError
+from capture2vr.storage.settings import StorageSettings, open_keys
 
 
 def signer(seed: int = 0) -> Signer:
@@ -136,7 +136,7 @@ def test_keys_come_from_the_settings(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_who_signs_nothing_need_not_load_cryptography() -> None:
-    loaded = "import services.storage.catalogue.publish, services.storage.settings, sys"
+    loaded = "import capture2vr.storage.catalogue.publish, capture2vr.storage.settings, sys"
     code = f"{loaded}; print('cryptography' in sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], env=dict(os.environ), capture_output=True, text=True, check=True

@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import pytest
 
-from services.storage.catalogue.entry import entry_name, read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove, restore
-from services.storage.catalogue.unity_update import update_unity_catalogues
-from services.storage.memory import MemoryStore
-from services.storage.store import NO_CACHE
-from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.json_writer import json_catalogue
-from services.storage.unity.locations import parse_assets
-from services.storage.unity.nouns import Asset
-from services.storage.unity.publication import catalogue_hash, catalogue_names
+from capture2vr.storage.catalogue.entry import entry_name, read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove, restore
+from capture2vr.storage.catalogue.unity_update import update_unity_catalogues
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import NO_CACHE
+from capture2vr.storage.unity.json_reader import read_json_catalogue
+from capture2vr.storage.unity.json_writer import json_catalogue
+from capture2vr.storage.unity.locations import parse_assets
+from capture2vr.storage.unity.nouns import Asset
+from capture2vr.storage.unity.publication import catalogue_hash, catalogue_names
 from tests.support.bundles import bundle
 from tests.support.unity_binary_reader import read_binary_catalogue
 

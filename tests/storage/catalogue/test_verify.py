@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from services.storage.catalogue.collection import index_name, read_index
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.faults import (
+from capture2vr.storage.catalogue.collection import index_name, read_index
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.faults import (
     CATALOGUE_MISSING,
     CATALOGUE_OLDER,
     FILE_CHANGED,
@@ -20,12 +20,12 @@ from services.storage.catalogue.faults import (
     SHARD_MISSING,
     SIGNATURE_WRONG,
 )
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove
-from services.storage.catalogue.signing import Keys, PublicKey
-from services.storage.catalogue.verify import CheckResult, fetch_from, verify
-from services.storage.memory import MemoryStore
-from services.storage.store import Store
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.signing import Keys, PublicKey
+from capture2vr.storage.catalogue.verify import CheckResult, fetch_from, verify
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import Store
 from tests.storage.catalogue.test_signing import ONE, TWO
 from tests.support.bundles import bundle, listed
 
@@ -60,7 +60,7 @@ def test_a_whole_collection_is_counted_to_the_last_byte(whole: MemoryStore) -> N
 
 
 def test_files_larger_than_a_block_are_read_to_their_end(whole: MemoryStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.storage.catalogue.verify._BLOCK_BYTES", 5)
+    monkeypatch.setattr("capture2vr.storage.catalogue.verify._BLOCK_BYTES", 5)
     assert not any(line.faults for line in checked(whole))
 
 

@@ -6,15 +6,15 @@ import json
 
 import pytest
 
-from services.storage.catalogue.entry import alias_name, read_entry
-from services.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
-from services.storage.catalogue.names_update import change_names
-from services.storage.catalogue.proof import check_proof
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove
-from services.storage.catalogue.signing import Keys
-from services.storage.catalogue.versions import UnknownVersion, read_version, restore_version
-from services.storage.memory import MemoryStore
+from capture2vr.storage.catalogue.entry import alias_name, read_entry
+from capture2vr.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
+from capture2vr.storage.catalogue.names_update import change_names
+from capture2vr.storage.catalogue.proof import check_proof
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.signing import Keys
+from capture2vr.storage.catalogue.versions import UnknownVersion, read_version, restore_version
+from capture2vr.storage.memory import MemoryStore
 from tests.storage.catalogue.test_signing import ONE
 from tests.support.bundles import bundle, listed
 

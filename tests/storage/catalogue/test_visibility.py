@@ -9,19 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.storage.catalogue.collection import index_name, read_index
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove, restore
-from services.storage.catalogue.signing import Keys, Signature, check_signatures
-from services.storage.catalogue.update import rebuild
-from services.storage.catalogue.visibility import Visibility, effective, lists, parse_visibility
-from services.storage.catalogue.visibility_update import set_asset_visibility, set_collection_visibility
-from services.storage.memory import MemoryStore
-from services.storage.store import list_all
-from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.locations import parse_assets
-from services.storage.unity.publication import catalogue_names
+from capture2vr.storage.catalogue.collection import index_name, read_index
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove, restore
+from capture2vr.storage.catalogue.signing import Keys, Signature, check_signatures
+from capture2vr.storage.catalogue.update import rebuild
+from capture2vr.storage.catalogue.visibility import Visibility, effective, lists, parse_visibility
+from capture2vr.storage.catalogue.visibility_update import set_asset_visibility, set_collection_visibility
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.store import list_all
+from capture2vr.storage.unity.json_reader import read_json_catalogue
+from capture2vr.storage.unity.locations import parse_assets
+from capture2vr.storage.unity.publication import catalogue_names
 from tests.storage.catalogue.test_signing import ONE
 from tests.support.bundles import bundle, listed
 

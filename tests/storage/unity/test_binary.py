@@ -8,9 +8,9 @@ from base64 import b64decode
 
 import pytest
 
-from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.listing import BUNDLE_RESOURCE
-from services.storage.unity.nouns import BASE_URL, Catalogue
+from capture2vr.storage.unity.json_reader import read_json_catalogue
+from capture2vr.storage.unity.listing import BUNDLE_RESOURCE
+from capture2vr.storage.unity.nouns import BASE_URL, Catalogue
 from tests.support.unity_catalogues import asset, catalogue, written
 
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.storage.unity.listing import PREFAB_PROVIDER, Listing
-from services.storage.unity.locations import build_listing, parse_assets
-from services.storage.unity.nouns import BASE_URL, Asset, Catalogue
-from services.storage.unity.publication import catalogue_files, catalogue_hash, catalogue_names
+from capture2vr.storage.unity.listing import PREFAB_PROVIDER, Listing
+from capture2vr.storage.unity.locations import build_listing, parse_assets
+from capture2vr.storage.unity.nouns import BASE_URL, Asset, Catalogue
+from capture2vr.storage.unity.publication import catalogue_files, catalogue_hash, catalogue_names
 from tests.referees.addressables.reader import AddressablesTools
 from tests.referees.addressables.reader import addressables_tools as addressables_tools
 from tests.support.unity_catalogues import FORMS, asset, catalogue, catalogues, in_order, lod, many, reader, written

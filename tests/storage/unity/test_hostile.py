@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.listing import Listing
-from services.storage.unity.locations import parse_assets
+from capture2vr.storage.unity.json_reader import read_json_catalogue
+from capture2vr.storage.unity.listing import Listing
+from capture2vr.storage.unity.locations import parse_assets
 from tests.support.unity_binary_reader import read_binary_catalogue
 from tests.support.unity_catalogues import FORMS, asset, catalogue, reader, written
 

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from services.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
 from tests.support.pages import await_data
 from tests.support.sites import Site, site_at
 from tests.support.tenants import bearer, make_key, publish_for

@@ -15,8 +15,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
-from services.edge.arrays import Bytes
-from services.gateway.jobs.capture_objects import capture_name
+from capture2vr.edge.arrays import Bytes
+from capture2vr.gateway.jobs.capture_objects import capture_name
 from tests.support.camera_films import middle_of, rest, step, view_of, write_film
 from tests.support.chromium import launch_with_camera
 from tests.support.pages import await_data

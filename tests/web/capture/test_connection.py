@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.cli.up import Stack
+from capture2vr.cli.up import Stack
 from tests.support.lines import Line, line_to
 from tests.support.pages import await_data, time_limit_ms
 from tests.web.capture.test_page import bowl, choose  # noqa: F401 - a fixture is used by its name

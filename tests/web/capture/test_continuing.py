@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
-from services.gateway.jobs.capture_objects import capture_name
-from services.storage.catalogue.publish import publish
+from capture2vr.gateway.jobs.capture_objects import capture_name
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.lines import line_to
 from tests.support.pages import await_data
 from tests.support.sites import Site

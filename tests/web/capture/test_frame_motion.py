@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 
-from services.edge.arrays import Bytes
+from capture2vr.edge.arrays import Bytes
 from tests.support.sites import Site
 
 pytestmark = pytest.mark.browser

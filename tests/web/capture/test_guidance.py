@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import BrowserContext, Page, Route, expect
 
-from services.cli.up import Stack
+from capture2vr.cli.up import Stack
 from tests.support.pages import await_data
 
 pytestmark = pytest.mark.browser

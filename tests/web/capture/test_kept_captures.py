@@ -15,10 +15,10 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.gateway.jobs.capture_objects import capture_name
-from services.storage.catalogue.publish import publish
-from services.storage.store import list_all
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.gateway.jobs.capture_objects import capture_name
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.store import list_all
 from tests.support.lines import Line, line_to
 from tests.support.pages import await_data
 from tests.support.sites import Site

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, Request, expect
 
-from services.cli.up import Stack
+from capture2vr.cli.up import Stack
 from tests.support.pages import await_data
 
 pytestmark = pytest.mark.browser

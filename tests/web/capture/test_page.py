@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from services.cli.up import Stack
+from capture2vr.cli.up import Stack
 from tests.support.pages import await_data
 from tests.support.patience import PATIENCE_S
 from tests.support.screenshots import await_frames, difference, drawn, expect_picture, stage

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, Request, expect
 
-from services.cli.up import Stack
+from capture2vr.cli.up import Stack
 from tests.support.pages import await_data
 from tests.web.conftest import PHONE, without_a_past
 

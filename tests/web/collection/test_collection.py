@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove
-from services.storage.catalogue.signing import Keys, generate_key, read_signer
-from services.storage.store import IMMUTABLE, NO_CACHE
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
+from capture2vr.storage.store import IMMUTABLE, NO_CACHE
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.pages import await_data, press_twice, requests_of
 from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at

@@ -17,9 +17,9 @@ import trimesh
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
-from services.cli.up import Stack
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
+from capture2vr.cli.up import Stack
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.clouds import write_ply
 from tests.support.pages import await_data, press_twice
 from tests.support.patience import PATIENCE_S

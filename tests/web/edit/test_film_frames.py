@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.cli.up import Stack
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.cli.up import Stack
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.support.captures import turn_film
 from tests.support.pages import await_data
 from tests.support.patience import PATIENCE_S

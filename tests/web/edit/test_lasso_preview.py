@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.cli.up import Stack
-from services.download_formats import CAMERAS
-from services.edge.asset.capture_files import capture_files
-from services.edge.capture.nouns import Intrinsics, Photo, PictureCamera
-from services.edge.capture.upright_places import turn_places
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh
-from services.edge.photos.nouns import PhotoView, picture_camera
-from services.edge.photos.upright_photo import UprightPhoto
-from services.edge.points.lasso import left_out
-from services.edge.points.nouns import Points
-from services.photo_lasso import PhotoLasso
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.cli.up import Stack
+from capture2vr.edge.asset.capture_files import capture_files
+from capture2vr.edge.cameras.nouns import PhotoView, picture_camera
+from capture2vr.edge.capture.nouns import Intrinsics, Photo, PictureCamera
+from capture2vr.edge.capture.upright_places import turn_places
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.photos.upright_photo import UprightPhoto
+from capture2vr.edge.points.lasso import left_out
+from capture2vr.edge.points.nouns import Points
+from capture2vr.order.download_formats import CAMERAS
+from capture2vr.order.photo_lasso import PhotoLasso
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.support.pages import await_data
 from tests.support.scenes import PHONE
 from tests.support.two_balls import POSES, RED_AT, line_around, picture_name, two_balls

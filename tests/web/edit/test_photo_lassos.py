@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
-from services.cli.up import Stack
-from services.edits import Edits
+from capture2vr.cli.up import Stack
+from capture2vr.order.edits import Edits
 from tests.support.pages import await_data
 from tests.support.patience import PATIENCE_S
 from tests.support.two_balls import RED_AT, line_around, picture_name, write_two_balls

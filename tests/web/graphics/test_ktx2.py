@@ -8,12 +8,12 @@ import pytest
 import trimesh
 from playwright.sync_api import Browser, Page, expect
 
-from services.edge.export.glb import to_glb
-from services.edge.export.ktx2 import Ktx2Encoder
-from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.texture.bake import jpeg_of
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.export.ktx2 import Ktx2Encoder
+from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.texture.bake import jpeg_of
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
 from tests.support.lines import line_to
 from tests.support.pages import await_data, time_limit_ms

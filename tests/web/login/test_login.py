@@ -6,7 +6,7 @@ import httpx
 import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
-from services.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data, press_twice, requests_of
 from tests.support.sites import Site
 from tests.support.tenants import bearer

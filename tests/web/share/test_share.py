@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data, open_panel, press_twice, requests_of
 from tests.support.qr_codes import picture_of, text_of
 from tests.support.screenshots import drawn, stage

@@ -8,11 +8,11 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import Keys, generate_key, read_signer
-from services.storage.catalogue.visibility import Visibility
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.lines import Line, line_to
 from tests.support.pages import await_data
 from tests.support.screenshots import drawn, stage

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from services.gateway.page_texts import german_texts
-from services.storage.catalogue.publish import publish
+from capture2vr.gateway.page_texts import german_texts
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data
 from tests.support.sites import Site
 from tests.support.things import GREEN, box

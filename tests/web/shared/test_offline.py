@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.lines import Line, line_to
 from tests.support.pages import await_data
 from tests.support.patience import PATIENCE_S

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.catalogue.collection import index_name
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import Keys, generate_key, read_signer
-from services.storage.catalogue.update import rebuild
-from services.storage.local import LocalStore
-from services.storage.store import NO_CACHE
+from capture2vr.storage.catalogue.collection import index_name
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
+from capture2vr.storage.catalogue.update import rebuild
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import NO_CACHE
 from tests.support.pages import await_data
 from tests.support.screenshots import drawn, stage
 from tests.support.sites import Site, site_at

@@ -13,8 +13,8 @@ from itertools import product
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.signing import Keys, generate_key, read_signer
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from tests.support.lines import Line, line_to
 from tests.support.pages import await_data, time_limit_ms
 from tests.support.screenshots import drawn, stage

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data, open_panel
 from tests.support.screenshots import await_frames, places_of, stage
 from tests.support.sites import Site

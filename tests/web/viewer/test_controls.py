@@ -7,7 +7,7 @@ import re
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, difference, stage
 from tests.support.sites import Site

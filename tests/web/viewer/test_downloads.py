@@ -13,11 +13,11 @@ import trimesh
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
-from services.cli.up import Stack
-from services.edge.arrays import Floats
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.cli.up import Stack
+from capture2vr.edge.arrays import Floats
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.support.pages import await_data, open_panel
 from tests.support.patience import HANG_S
 from tests.support.screenshots import await_frames, difference, drawn, stage

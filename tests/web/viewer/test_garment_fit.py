@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 
-from services.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats
 from tests.support.garments import DRESS, SKIRT, corners_of, tube
 from tests.support.sites import Site
 

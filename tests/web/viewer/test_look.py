@@ -12,10 +12,10 @@ from playwright.sync_api import Browser, Page, expect
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from services.edge.arrays import Bytes
-from services.edge.export.glb import to_glb
-from services.edge.mesh.nouns import Mesh
-from services.storage.catalogue.publish import publish
+from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, stage
 from tests.support.sites import Site

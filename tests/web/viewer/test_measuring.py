@@ -13,7 +13,7 @@ import trimesh
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.headsets import enter, wear
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, halves, stage

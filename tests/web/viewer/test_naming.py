@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.asset_names import AssetNames
-from services.gateway.access.caller import ALL_SCOPES, Scope
-from services.storage.bundle import Bundle
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.names_update import change_names
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.visibility import Visibility
-from services.storage.tenant_store import store_of_tenant
+from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.names_update import change_names
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.pages import await_data, open_panel
 from tests.support.sites import Site
 from tests.support.tenants import make_key

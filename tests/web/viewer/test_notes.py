@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.notes_update import add_note
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.visibility import Visibility
-from services.storage.store import Store
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.notes_update import add_note
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.store import Store
 from tests.support.headsets import enter, wear
 from tests.support.pages import await_data, press_twice, requests_of
 from tests.support.screenshots import await_frames, halves, stage

@@ -16,12 +16,12 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
-from services.gateway.routes.pages import WEB
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove, restore
-from services.storage.catalogue.scene import PlacedAsset
-from services.storage.catalogue.scene_documents import create_scene, list_scenes, read_scene, replace_scene
-from services.storage.store import Store
+from capture2vr.gateway.routes.pages import WEB
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove, restore
+from capture2vr.storage.catalogue.scene import PlacedAsset
+from capture2vr.storage.catalogue.scene_documents import create_scene, list_scenes, read_scene, replace_scene
+from capture2vr.storage.store import Store
 from tests.support.headsets import Hand, enter, wear
 from tests.support.pages import await_data, open_panel, press_twice, requests_of
 from tests.support.patience import PATIENCE_S

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.catalogue.publish import publish
-from services.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.removal import remove
 from tests.support.headsets import Hand, enter, wear
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, halves, places_of, stage

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page
 
-from services.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.headsets import Hand, enter, furnish, wear
 from tests.support.pages import await_data
 from tests.support.sites import Site

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import BrowserContext, Page, Route, expect
 
-from services.storage.bundle import Bundle
-from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
+from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.local import LocalStore
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, drawn, expect_picture, stage
 from tests.support.sites import Site

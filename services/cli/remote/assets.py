@@ -1,0 +1,108 @@
+"""`capture2vr ls | rm | restore`: list the assets of a collection, remove (hide) one, restore it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date, datetime, time, timedelta
+from typing import Any
+
+import httpx
+from rich.table import Table
+from rich.text import Text
+
+from capture2vr.cli.errors import BadInput, parse_answer, printable
+from capture2vr.cli.key_names import check_collection, check_key
+from capture2vr.cli.progress import console, print_listing
+from capture2vr.cli.remote.http import client_of
+
+_PAGE = 100  # assets per request: the gateway's maximum
+_MB = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class AssetSearch:
+    """What the assets of a list have in common; what is None or "" does not matter.
+
+    since, until    days of the last change, both included, in the time zone of this machine
+    min_mb, max_mb  size of all files, megabytes
+    """
+
+    label: str = ""
+    state: str = ""
+    since: date | None = None
+    until: date | None = None
+    min_mb: float | None = None
+    max_mb: float | None = None
+
+    def query(self) -> dict[str, str | int]:
+        """The parameters of the gateway's search. Raises BadInput for days and sizes that no clock and no store has."""
+        try:
+            return self._query()
+        except (OverflowError, ValueError):
+            options = "--since, --until, --min-mb and --max-mb"
+            raise BadInput(f"{options}: give days of the years 2 to 9998, and sizes that are finite") from None
+
+    def _query(self) -> dict[str, str | int]:
+        end = None if self.until is None else _begin_of(self.until + timedelta(days=1)) - timedelta(seconds=1)
+        facts = {
+            "since": None if self.since is None else _begin_of(self.since).isoformat(),
+            "until": None if end is None else end.isoformat(),
+            "min_bytes": None if self.min_mb is None else round(self.min_mb * _MB),
+            "max_bytes": None if self.max_mb is None else round(self.max_mb * _MB),
+        }
+        asked = {name: value for name, value in facts.items() if value is not None}
+        return {"label": self.label, "state": self.state, **asked}
+
+
+def list_assets(gateway: str, *, collection: str, wanted: AssetSearch) -> int:
+    """Print the assets of a collection that are wanted, and return their number. Raises BadInput."""
+    check_collection(collection)
+    try:
+        with client_of(gateway) as client:
+            rows = list(_rows(client, collection, wanted))
+    except (httpx.TransportError, httpx.InvalidURL) as error:
+        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    table = Table(title=f"{collection}: {len(rows):,} assets")
+    for column in ("key", "label", "labels", "version", "state", "updated", "MB"):
+        table.add_column(column, justify="right" if column in ("version", "MB") else "left", overflow="fold")
+    for row in rows:
+        names = (row["key"], row["label"], ", ".join(row["labels"]))
+        size = "" if row["bytes"] is None else f"{row['bytes'] / _MB:.1f}"
+        facts = (str(row["version"]), row["state"], row["updated"], size)
+        table.add_row(
+            *(Text(printable(cell)) for cell in (*names, *facts))
+        )  # Text, because labels may look like markup
+    print_listing(table)
+    return len(rows)
+
+
+def set_removed(key: str, gateway: str, verb: str, *, collection: str) -> None:
+    """Remove or restore an asset at the gateway. Raises BadInput.
+
+    verb        remove | restore
+    collection  do it only if the asset is in this collection; "": in any case
+    """
+    check_key(key)
+    if collection:
+        check_collection(collection)
+    try:
+        with client_of(gateway) as client:
+            answer = parse_answer(client.post(f"/v1/assets/{key}/{verb}", params={"collection": collection}))
+    except (httpx.TransportError, httpx.InvalidURL) as error:
+        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    state = "removed; its files are kept, and `restore` brings it back" if answer["removed"] else "available"
+    console.print(f"{key} version {answer['version']} is {state}")
+
+
+def _begin_of(day: date) -> datetime:
+    return datetime.combine(day, time.min).astimezone()
+
+
+def _rows(client: httpx.Client, collection: str, wanted: AssetSearch) -> Iterator[dict[str, Any]]:
+    after: str | None = ""
+    while after is not None:
+        query = {**wanted.query(), "after": after, "limit": _PAGE}
+        page = parse_answer(client.get(f"/v1/collections/{collection}/assets", params=query))
+        yield from page["assets"]
+        after = page["next"]

@@ -1,0 +1,268 @@
+"""Detect, read and validate files of point clouds and of meshes; points are sampled on the surface of a mesh."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.files import Folder, translate_errors
+from capture2vr.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
+from capture2vr.edge.clouds.cloud_parts import MAX_BAD_SHARE, MAX_COORDINATE, dropped_warning, read_some, valid_mask
+from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_warning
+from capture2vr.edge.clouds.meshes import read_mesh
+from capture2vr.edge.clouds.obj import read_obj
+from capture2vr.edge.clouds.pcd import read_pcd
+from capture2vr.edge.clouds.ply import ply_parts, read_ply
+from capture2vr.edge.clouds.raw_parts import RawParts
+from capture2vr.edge.clouds.sample_surface import SampledSurface, sample_surfaces
+from capture2vr.edge.clouds.surface_colours import vertex_colours
+from capture2vr.edge.clouds.tables import MAX_POINTS, looks_numeric, npy_parts, read_npy, read_table, too_many_points
+from capture2vr.edge.errors import CaptureError
+
+MIN_DISTINCT = 100  # distinct points; fewer do not describe a surface
+MIN_SECOND_EXTENT = 1e-4  # of the first principal extent; below it all points lie on a line
+MAX_PARTED_BYTES = 2**33  # of a file that is read in parts
+MAX_BYTES = 2**31  # of a file: 20 million points of 100 bytes
+_MAX_BYTES = {
+    "obj": 2**28,
+    "off": 2**28,
+    "xyz": 2**30,
+}  # of text formats, which need many times their size to be parsed
+_SNIFF_BYTES = 2**16  # read of a file to detect its format
+# Hash multipliers: odd, hence invertible modulo 2^64, with the bits of the golden ratio and of the roots of 3 and 5.
+_ODD_FACTORS = np.array([0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B, 0x3C6EF372FE94F82B], np.uint64)
+_FAR_OFF = 100.0  # of a cloud's extent from the origin: below it float32 is exact to a hundred thousandth of that
+_SAMPLE = 100_000  # points used for the principal extents; fast also for a cloud of 20 million
+
+UP_Y = (0.0, 1.0, 0.0)
+UP_Z = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """Scale and up axis that a file format guarantees for its coordinates."""
+
+    scale: ScaleConfidence = "unknown"
+    up: tuple[float, float, float] | None = None
+
+
+_FRAMES = {
+    "glb": _Frame("metric", UP_Y),  # glTF 2.0, section 3.4: metres, Y up
+    "gltf": _Frame("metric", UP_Y),
+    "e57": _Frame("metric", UP_Z),  # ASTM E2807: metres; scanners level themselves
+    "las": _Frame("estimated", UP_Z),  # usually metres; the coordinate reference system, which is not read, decides
+}
+_MESHES = ("off", "stl", "glb", "gltf")
+
+
+def cloud_format(folder: Folder, name: str) -> str | None:
+    """Detect the format of a file from its first bytes: ply, pcd, npy, las, e57, a mesh format, xyz, or None."""
+    path = folder.path(name)
+    with translate_errors(name, "file"), path.open("rb") as stream:
+        head = stream.read(_SNIFF_BYTES)
+    magic = _by_magic(head)
+    if magic is None and len(head) >= 84 and path.stat().st_size == 84 + 50 * int.from_bytes(head[80:84], "little"):
+        return "stl"
+    return magic or _by_text(head)
+
+
+def _by_magic(head: bytes) -> str | None:
+    """Return the format that a magic number or a PCD header identifies, or None."""
+    if re.match(rb"ply\r?\n", head):
+        return "ply"
+    for magic, name in ((b"\x93NUMPY", "npy"), (b"LASF", "las"), (b"ASTM-E57", "e57"), (b"glTF", "glb")):
+        if head.startswith(magic):
+            return name
+    if re.search(rb"^FIELDS\b", head[:2048], re.M) and re.search(rb"^(VERSION|SIZE|WIDTH|DATA)\b", head[:2048], re.M):
+        return "pcd"
+    return "pcd" if head.startswith(b"# .PCD") else None
+
+
+def _by_text(head: bytes) -> str | None:
+    """Return the text format (gltf, off, stl, obj, xyz) that the first bytes look like, or None."""
+    text = head.decode("utf-8-sig", errors="replace")
+    if "\0" in text or text.count("�") > len(text) // 100:
+        return None
+    start = text.lstrip()
+    if start.startswith("{"):
+        return "gltf" if re.search(r'"asset"\s*:', text) and '"version"' in text else None
+    if re.match(r"(ST)?C?N?4?OFF\b", start):
+        return "off"
+    if re.match("solid", start, re.I) and re.search("facet", text, re.I):
+        return "stl"
+    if re.search(r"^[ \t]*v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]\S*[ \t]+[-+.\dna]", text, re.M | re.I):
+        return "obj"
+    return "xyz" if looks_numeric(text[: text.rfind("\n")] if len(head) == _SNIFF_BYTES else text) else None
+
+
+def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
+    """Read a point cloud or mesh file of format `kind`, validate it, and return a capture of kind "points".
+
+    Of a cloud of more than LARGE points some are read now, and all of them in parts when they are asked for.
+    """
+    if (parts := _parts(folder, name, kind)) is not None:
+        some, whole, warnings = read_some(parts, name, folder.tick)
+        return _capture(kind, name, some, warnings, whole)
+    cloud, warnings = _read(folder, name, kind)
+    if len(cloud.xyz) > MAX_POINTS:
+        raise too_many_points(len(cloud.xyz), name)
+    (xyz,), moved = _near_origin([cloud.xyz], name)
+    cloud, dropped = _drop_invalid(replace(cloud, xyz=xyz), name)
+    return _capture(kind, name, cloud, (*warnings, *moved, *dropped))
+
+
+def _parts(folder: Folder, name: str, kind: str) -> RawParts | None:
+    """The points of a large file in parts; None where it is not large, or of a format that is read at once."""
+    path = folder.path(name)
+    if kind not in ("las", "e57", "ply", "npy"):
+        return None
+    if path.stat().st_size > MAX_PARTED_BYTES:
+        raise _too_many_bytes(name, kind, MAX_PARTED_BYTES)
+    if kind == "las":
+        from capture2vr.edge.clouds.las import las_parts
+
+        return las_parts(path, name, folder.tick)
+    if kind == "e57":
+        from capture2vr.edge.clouds.e57 import e57_parts
+
+        return e57_parts(path, name, folder.tick)
+    return ply_parts(path, name) if kind == "ply" else npy_parts(path, name)
+
+
+def _capture(kind: str, name: str, cloud: Cloud, warnings: tuple[str, ...], whole: CloudParts | None = None) -> Capture:
+    """Return the capture of a cloud whose points are valid, in the frame of its format. Raises CAPTURE_DEGENERATE."""
+    _check_shape(cloud.xyz, name)
+    frame = _FRAMES.get(kind, _Frame())
+    up = None if frame.up is None else np.array(frame.up)
+    return Capture("points", kind, cloud=cloud, whole=whole, scale_confidence=frame.scale, up=up, warnings=warnings)
+
+
+def _too_many_bytes(name: str, kind: str, limit: int) -> CaptureError:
+    what = f"is larger than {limit // 2**20:,} MiB, the most that is read of a {kind.upper()} file"
+    hint = "downsample the point cloud, or simplify the mesh"
+    return CaptureError("CAPTURE_TOO_LARGE", what, file=name, hints=(hint,))
+
+
+def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]:
+    """Read one file of format `kind`: its points, or points sampled on its triangles, and warnings."""
+    path = folder.path(name)
+    limit = _MAX_BYTES.get(kind, MAX_BYTES)
+    if path.stat().st_size > limit:
+        raise _too_many_bytes(name, kind, limit)
+    if kind == "e57":
+        from capture2vr.edge.clouds.e57 import read_e57
+
+        return read_e57(path, name, folder.tick)
+    if kind == "las":
+        from capture2vr.edge.clouds.las import read_las
+
+        return read_las(path, name, folder.tick)
+    if kind == "ply":
+        cloud, faces, warnings = read_ply(path, name)
+        used = np.count_nonzero(np.bincount(faces.reshape(-1)))
+        if len(faces) == 0 or 2 * used < len(cloud.xyz):  # a cloud with a few stray faces is not a mesh
+            return cloud, warnings
+        colours = None if cloud.rgb is None else vertex_colours(cloud.rgb, faces)
+        sampled, dropped = _sample_mesh([SampledSurface(cloud.xyz, faces, colours)], name)
+        return sampled, (*warnings, *dropped)
+    if kind == "obj":
+        obj = read_obj(folder, name)
+        if obj.surface is None:
+            return obj.vertices, ()
+        sampled, dropped = _sample_mesh([obj.surface], name)
+        return sampled, (*obj.warnings, *dropped)
+    if kind in _MESHES:
+        surfaces, absent = read_mesh(folder, name, kind)
+        if not surfaces:
+            raise CaptureError(
+                "CAPTURE_EMPTY", "is a mesh without triangles", file=name, hints=("export the mesh again",)
+            )
+        sampled, dropped = _sample_mesh(surfaces, name)
+        return sampled, (*absent, *dropped)
+    return {"pcd": read_pcd, "npy": read_npy, "xyz": read_table}[kind](path, name), ()
+
+
+def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tuple[str, ...]]:
+    """Sample points on the surfaces, after validating the vertices, so that errors are about the file's vertices."""
+    if (count := sum(len(surface.vertices) for surface in surfaces)) > 3 * MAX_POINTS:
+        raise too_many_points(count, name)
+    near, moved = _near_origin([surface.vertices for surface in surfaces], name)
+    surfaces = [replace(surface, vertices=vertices) for surface, vertices in zip(surfaces, near, strict=True)]
+    cloud, dropped = _drop_invalid(Cloud(np.concatenate(near)), name)
+    if (cloud.xyz == cloud.xyz[0]).all():
+        raise CaptureError("CAPTURE_DEGENERATE", "has all its vertices at the same position", file=name)
+    keep = [replace(surface, vertices=np.where(valid_mask(surface.vertices)[:, None], surface.vertices, np.nan))
+            for surface in surfaces]  # fmt: skip
+    return sample_surfaces(keep, name), (*moved, *dropped)
+
+
+def _near_origin(parts: Sequence[Floats], name: str) -> tuple[list[Floats], tuple[str, ...]]:
+    """Move georeferenced coordinates, parts of (N,3), near the origin, as float32 has steps of 3 cm at 500 km; warn.
+
+    A few points that are far away do not make coordinates georeferenced, nor do they say where the others are.
+    """
+    some = np.concatenate([part[:: max(1, len(part) // _SAMPLE)] for part in parts])
+    some = some[np.isfinite(some).all(axis=1)]
+    if len(some) == 0:
+        return list(parts), ()
+    low, high = np.quantile(some, (MAX_BAD_SHARE, 1 - MAX_BAD_SHARE), axis=0)
+    origin, farthest = georeferenced_origin(low, high), float(np.abs([low, high]).max())
+    # A house in millimetres reaches as far from the origin, and stays where it is.
+    if origin is None or farthest < min(MAX_COORDINATE, _FAR_OFF * float((high - low).max())):
+        return list(parts), ()
+    return [np.asarray(part, np.float64) - origin for part in parts], (moved_warning(origin, name),)
+
+
+def _drop_invalid(cloud: Cloud, name: str) -> tuple[Cloud, tuple[str, ...]]:
+    """Remove invalid points; return the cloud and a warning. Raises CAPTURE_NOT_FINITE above MAX_BAD_SHARE."""
+    good = valid_mask(cloud.xyz)
+    bad = len(good) - int(good.sum())
+    if bad == 0:
+        return cloud, ()
+    return cloud.subset(good), (dropped_warning(bad, len(good), name),)
+
+
+def _check_shape(xyz: Floats, name: str) -> None:
+    """Raise CAPTURE_TOO_FEW_POINTS or CAPTURE_DEGENERATE for points that cannot describe a surface."""
+    hint = ("walk around the thing and scan it again",)
+    if len(xyz) < MIN_DISTINCT:
+        what = f"has only {len(xyz)} points; at least {MIN_DISTINCT} are needed"
+        raise CaptureError("CAPTURE_TOO_FEW_POINTS", what, file=name, hints=hint)
+    if (xyz == xyz[0]).all():
+        what = f"has all of its {len(xyz):,} points at the same position"
+        raise CaptureError("CAPTURE_DEGENERATE", what, file=name, hints=hint)
+    if (distinct := _count_distinct(xyz)) < MIN_DISTINCT:
+        what = f"has only {distinct} distinct points; at least {MIN_DISTINCT} are needed"
+        raise CaptureError("CAPTURE_TOO_FEW_POINTS", what, file=name, hints=hint)
+    first, second, _ = _extents(xyz)
+    if second < MIN_SECOND_EXTENT * first:
+        raise CaptureError("CAPTURE_DEGENERATE", "has all of its points on one straight line", file=name, hints=hint)
+
+
+def _count_distinct(xyz: Floats) -> int:
+    """Count the distinct points; if a sample has MIN_DISTINCT of them already, return the sample's count."""
+    few = len(np.unique(xyz[:: max(1, len(xyz) // 10_000)], axis=0))
+    return few if few >= MIN_DISTINCT or len(xyz) < 10_000 else len(np.unique(_hash_points(xyz)))
+
+
+def _hash_points(xyz: Floats) -> NDArray[np.uint64]:
+    """Hash each point to one integer (N,): sorting millions of rows takes seconds, sorting integers a tenth of one.
+
+    Among a hundred points two collide once in 10^15 captures; the count of distinct points is then one too low.
+    """
+    bits = (np.ascontiguousarray(xyz, np.float64) + 0.0).view(np.uint64)  # + 0.0 turns -0 into 0
+    mixed = bits ^ (bits >> np.uint64(29))  # low bits of a double are often 0, and a product carries only upwards
+    hashed: NDArray[np.uint64] = (mixed * _ODD_FACTORS).sum(axis=1, dtype=np.uint64)
+    return hashed
+
+
+def _extents(xyz: Floats) -> Floats:
+    """Return the standard deviations (3,) of the points along their principal axes, largest first."""
+    some = xyz[:: max(1, len(xyz) // _SAMPLE)]
+    extents: Floats = np.linalg.svd(some - some.mean(axis=0), compute_uv=False) / np.sqrt(len(some))
+    return extents

@@ -1,0 +1,107 @@
+"""Read a large point cloud in parts: check all of it once, keep some of its points, and read it again when asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture2vr.edge.arrays import Bools, Floats, Tick
+from capture2vr.edge.capture.files import translate_errors
+from capture2vr.edge.capture.nouns import Cloud, CloudParts
+from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_warning
+from capture2vr.edge.clouds.colours import rgb8, scale_of
+from capture2vr.edge.clouds.raw_parts import LARGE, RawPart, RawParts
+from capture2vr.edge.errors import CaptureError
+
+MAX_COORDINATE = 1e6
+"""Units from the origin; beyond it float32 steps are 6 cm, and 1e30 is a broken file."""
+MAX_BAD_SHARE = 0.1
+"""Share of the points that may be invalid; they are dropped with a warning."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Survey:
+    """What one reading of all points found: least and greatest finite coordinates (3,), and the greatest colour."""
+
+    low: Floats
+    high: Floats
+    top: float
+    coloured: bool
+
+
+def valid_mask(xyz: Floats) -> Bools:
+    """Return a mask (N,): True for points that are finite and within MAX_COORDINATE."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray((np.abs(xyz) <= MAX_COORDINATE).all(axis=1))
+
+
+def dropped_warning(bad: int, count: int, name: str) -> str:
+    """Return the warning that so many points were dropped. Raises CAPTURE_NOT_FINITE above MAX_BAD_SHARE."""
+    what = f"{bad:,} of {count:,} points have coordinates that are not finite or beyond {MAX_COORDINATE:,.0f} units"
+    if bad > MAX_BAD_SHARE * count:
+        raise CaptureError("CAPTURE_NOT_FINITE", what, file=name, hints=("export the capture again, in metres",))
+    return f"{name}: {what}; these points were dropped"
+
+
+def read_some(parts: RawParts, name: str, tick: Tick) -> tuple[Cloud, CloudParts, tuple[str, ...]]:
+    """Read all points once -> every so many-th of them, at most LARGE, all of them in parts, and warnings.
+
+    Raises CAPTURE_NOT_FINITE, and CAPTURE_UNREADABLE where a part cannot be decoded.
+    """
+    step = -(-parts.count // LARGE)
+    found = [_look_at(part, step, tick) for part in _translated(parts, name)]
+    survey = _joined([each for each, _ in found])
+    some = RawPart(
+        np.concatenate([part.xyz for _, part in found]),
+        np.concatenate([part.colours for _, part in found if part.colours is not None]) if survey.coloured else None,
+    )
+    origin = georeferenced_origin(survey.low, survey.high)
+    warnings = parts.warnings if origin is None else (*parts.warnings, moved_warning(origin, name))
+    clean = _Clean(np.zeros(3) if origin is None else origin, survey)
+    good = int(valid_mask(some.xyz - clean.origin).sum())
+    if good < len(some.xyz):
+        warnings += (dropped_warning(len(some.xyz) - good, len(some.xyz), name),)
+    return clean(some), CloudParts(parts.count, lambda: map(clean, _translated(parts, name))), warnings
+
+
+@dataclass(frozen=True, slots=True)
+class _Clean:
+    """Turns a part as stored into a cloud: near the origin, without invalid points, with 8-bit colours."""
+
+    origin: Floats
+    survey: _Survey
+
+    def __call__(self, part: RawPart) -> Cloud:
+        xyz = part.xyz - self.origin
+        colours = None
+        if part.colours is not None and self.survey.coloured:
+            colours = rgb8(part.colours, scale_of(self.survey.top, part.colours.dtype))
+        return Cloud(xyz, colours).subset(valid_mask(xyz))
+
+
+def _look_at(part: RawPart, step: int, tick: Tick) -> tuple[_Survey, RawPart]:
+    """Survey a part, and pick every `step`-th of its points."""
+    tick(0.0)
+    with np.errstate(invalid="ignore"):
+        finite = part.xyz[np.isfinite(part.xyz).all(axis=1)]
+    low, high = finite.min(axis=0, initial=np.inf), finite.max(axis=0, initial=-np.inf)
+    colours = part.colours
+    top = 0.0 if colours is None else float(np.nan_to_num(colours, posinf=0.0).max(initial=0))
+    picked = RawPart(part.xyz[::step].copy(), None if colours is None else colours[::step].copy())
+    return _Survey(low, high, top, colours is not None), picked
+
+
+def _joined(surveys: list[_Survey]) -> _Survey:
+    return _Survey(
+        np.min([each.low for each in surveys], axis=0),
+        np.max([each.high for each in surveys], axis=0),
+        max(each.top for each in surveys),
+        all(each.coloured for each in surveys),
+    )
+
+
+def _translated(parts: RawParts, name: str) -> Iterator[RawPart]:
+    with translate_errors(name, "point cloud"):
+        yield from parts.read()

@@ -1,0 +1,106 @@
+"""Read E57 files (ASTM E2807): the scans of a laser scanner, each placed by its own pose, in metres.
+
+A file is a header of 48 bytes, binary sections, and an XML section that describes them; every page of 1,024 bytes ends
+with a checksum of 4. pye57 decodes the points.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.capture.files import truncated, unreadable
+from capture2vr.edge.capture.nouns import Cloud
+from capture2vr.edge.clouds.cloud_process import decode_in_child, decode_to_disk, near_origin
+from capture2vr.edge.clouds.raw_parts import LARGE, RawParts
+from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS, MAX_POINTS, too_many_points
+from capture2vr.edge.errors import CaptureError
+
+MAGIC = b"ASTM-E57"
+_HEADER = struct.Struct("<8s2I4Q")  # magic, version, length of the file, offset and length of the XML, page size
+_PAGE, _PAYLOAD = 1024, 1020  # bytes of a page, with and without its checksum
+_MAX_XML = 64 * 2**20  # bytes; a thousand scans take one
+_AXES = ("cartesianX", "cartesianY", "cartesianZ")
+_CHANNELS = ("colorRed", "colorGreen", "colorBlue")
+
+
+def read_e57(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[str, ...]]:
+    """Read all scans of an E57 into one cloud, and warnings. `tick` is called meanwhile.
+
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED, CAPTURE_TOO_LARGE and CAPTURE_EMPTY.
+    """
+    if find_spec("pye57") is None:
+        raise unreadable(file, "is an E57, which this machine cannot read", "export the scan as .las, .laz or .ply")
+    count = sum(_record_counts(path, file))
+    if count > MAX_POINTS:
+        raise too_many_points(count, file)
+    if not count:
+        raise CaptureError("CAPTURE_EMPTY", "has no points", file=file, hints=("export the capture again",))
+    xyz, colours, warnings = decode_in_child("E57", path, file, tick)
+    cloud, moved = near_origin(xyz, colours, file)
+    return cloud, (*warnings, *moved)
+
+
+def e57_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:
+    """All scans of an E57 in parts; None where they have no more points than `read_e57` reads at once."""
+    count = sum(_record_counts(path, file)) if find_spec("pye57") else 0
+    if count <= LARGE:
+        return None
+    if count > MAX_PARTED_POINTS:
+        raise too_many_points(count, file, MAX_PARTED_POINTS)
+    return decode_to_disk("E57", path, file, count, tick)
+
+
+def _record_counts(path: Path, file: str) -> list[int]:
+    """Return the number of points of each scan, from the XML, after checking the header against the file's size."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = stream.read(_HEADER.size)
+        if len(head) < _HEADER.size:
+            raise truncated(file, "is cut off inside the E57 header")
+        _, _, _, length, offset, xml_length, page = _HEADER.unpack(head)
+        if length > size:
+            raise truncated(file, f"is cut off: its header announces {length:,} bytes, but it has only {size:,}")
+        if page != _PAGE or offset >= length or xml_length > min(length, _MAX_XML):
+            raise unreadable(file, "has an E57 header that contradicts the file")
+        first = offset - offset % _PAGE
+        stream.seek(first)
+        pages = stream.read((xml_length // _PAYLOAD + 2) * _PAGE)
+    payload = b"".join(pages[at : at + _PAYLOAD] for at in range(0, len(pages), _PAGE))
+    xml = payload[offset % _PAGE :][:xml_length]
+    tags = re.findall(rb"<points\b[^<>]*+", xml)
+    counts = (re.search(rb"\brecordCount\s*=\s*[\"'](\d{1,18})[\"']", tag) for tag in tags)
+    return [int(count[1]) for count in counts if count is not None]
+
+
+def iter_points(path: Path) -> Iterator[tuple[Floats, NDArray[Any] | None]]:
+    """Decode scan by scan: xyz (N,3) float64 in the file's frame, and colours (N,3) uint8 or None.
+
+    Raises what pye57 raises.
+    """
+    import pye57
+
+    with pye57.E57(str(path)) as reader:
+        for number in range(reader.scan_count):
+            scan = _read_scan(reader, number)
+            coloured = set(_CHANNELS) <= scan.keys()
+            colours = np.stack([scan[channel] for channel in _CHANNELS], axis=1) if coloured else None
+            yield np.stack([scan[axis] for axis in _AXES], axis=1), colours
+
+
+def _read_scan(reader: Any, number: int) -> dict[str, NDArray[Any]]:
+    """Read one scan's valid points, moved by its pose; without colours where they do not fit 8 bits."""
+    from pye57.libe57 import E57Exception
+
+    try:
+        return dict(reader.read_scan(number, colors=True, ignore_missing_fields=True))
+    except E57Exception:
+        return dict(reader.read_scan(number, ignore_missing_fields=True))

@@ -1,0 +1,163 @@
+"""Read mesh files with trimesh: .off, .stl, .glb and .gltf, with their textures, materials and buffers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+
+from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.capture.files import Folder, translate_errors, truncated
+from capture2vr.edge.capture.images import check_header, check_pixels, read_bytes
+from capture2vr.edge.clouds.gltf import LIGHT, find_uri, plain_gltf
+from capture2vr.edge.clouds.sample_surface import MAX_FACES, ColourAt, SampledSurface, too_many_faces
+from capture2vr.edge.clouds.surface_colours import absent_textures, nearest_texels, vertex_colours
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.srgb import to_linear, to_srgb
+
+
+class _SiblingFiles(Mapping[str, bytes]):
+    """trimesh resolver: reads the files that a mesh refers to; a file outside the capture is never opened."""
+
+    def __init__(self, folder: Folder, file: str) -> None:
+        self._folder, self._file = folder, file
+        self.buffers: dict[str, bytes] = {}  # those of a rewritten glTF, by their URIs
+        self.absent: list[str] = []  # names of textures
+        self.refused: CaptureError | None = None  # trimesh swallows errors raised here and continues without colours
+
+    def __getitem__(self, name: str) -> bytes:
+        if name in self.buffers:
+            return self.buffers[name]
+        try:
+            return self._read(name)
+        except CaptureError as error:
+            self.refused = error
+            raise
+
+    def _read(self, name: str) -> bytes:
+        beside = find_uri(self._folder, self._file, name)
+        if beside is None:
+            self.absent.append(name)
+            raise KeyError(name)  # trimesh continues without a texture
+        data = read_bytes(self._folder.path(beside), beside)
+        check_header(data, beside)
+        return data
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._folder.names)
+
+    def __len__(self) -> int:
+        return len(self._folder.names)
+
+
+def read_mesh(folder: Folder, file: str, kind: str) -> tuple[list[SampledSurface], tuple[str, ...]]:
+    """Read the triangles of a file of `kind` "off", "stl", "glb" or "gltf", in the scene's frame.
+
+    Returns an empty list when there are no triangles, and warnings.
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
+    """
+    import trimesh
+
+    data = read_bytes(folder.path(file), file)
+    beside, parser = _SiblingFiles(folder, file), kind
+    if kind == "off":
+        _check_off(data, file)
+    elif kind in ("glb", "gltf"):
+        data, beside.buffers = plain_gltf(data, kind, folder, file, beside)
+        parser = "gltf"
+    with translate_errors(file, kind.upper()):
+        loaded = trimesh.load_scene(
+            BytesIO(data), file_type=parser, resolver=beside, process=False, maintain_order=True
+        )
+        if beside.refused is not None:
+            raise beside.refused
+        nodes = list(loaded.graph.nodes_geometry)
+        faces = sum(len(getattr(loaded.geometry[loaded.graph[node][1]], "faces", ())) for node in nodes)
+        if faces > MAX_FACES:
+            raise too_many_faces(faces, file)
+        pictures: _Pictures = {}
+        surfaces = [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
+    return surfaces, absent_textures(file, beside.absent)
+
+
+def _check_off(data: bytes, file: str) -> None:
+    """Check the vertex and face counts at the start of an OFF: a vertex takes at least 6 bytes, a face 8."""
+    lines = data[:4096].decode("latin-1").splitlines()
+    rows = [line.split() for line in lines if line.strip() and not line.strip().startswith("#")]
+    with translate_errors(file, "OFF"):
+        counts = rows[0][1:] or rows[1]
+        vertices, faces = int(counts[0]), int(counts[1])
+    if (vertices * 6 + faces * 8) > len(data) + 8:
+        what = f"{vertices:,} vertices and {faces:,} faces, which do not fit into its {len(data):,} bytes"
+        raise truncated(file, f"is cut off: its header announces {what}")
+
+
+_Pictures = dict[int, Bytes]
+"""Cache of decoded textures by the `id` of their image: many parts of a scene share a few textures."""
+
+
+def _surface(scene: Any, node: str, pictures: _Pictures) -> SampledSurface | None:
+    """Return the triangles of one scene node, transformed to the scene's frame, or None if it has none."""
+    import trimesh
+
+    transform, name = scene.graph[node]
+    geometry = scene.geometry[name]
+    if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
+        return None
+    vertices = np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
+    faces = np.asarray(geometry.faces, np.int64)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError("a face has indices of vertices that do not exist")
+    return SampledSurface(vertices, faces, _colours(geometry, faces, pictures))
+
+
+def _colours(geometry: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
+    """Return the function that looks up colours: from texture, material, vertices or faces; None without colours."""
+    visual = geometry.visual
+    material, light = getattr(visual, "material", None), _per_vertex(geometry, LIGHT)
+    if light is not None or hasattr(material, "baseColorTexture"):
+        return _gltf_colours(material, visual, light, faces, pictures)
+    if visual.kind == "vertex":
+        return vertex_colours(np.asarray(visual.vertex_colors)[:, :3], faces)
+    if visual.kind == "face":
+        flat = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
+        return lambda triangle, weights: flat[triangle]
+    return None
+
+
+def _per_vertex(geometry: Any, name: str) -> Floats | None:
+    """Return an attribute (V,3) of a mesh's vertices, or None where it has none, or one of another length."""
+    values = geometry.vertex_attributes.get(name)
+    return None if values is None or np.shape(values) != (len(geometry.vertices), 3) else np.asarray(values)
+
+
+def _gltf_colours(material: Any, visual: Any, light: Floats | None, faces: Ints, pictures: _Pictures) -> ColourAt:
+    """Return a function that multiplies texture, factor and vertex colours as linear light (glTF 2.0, section 3.9.2).
+
+    White for a material without any of them.
+    """
+    factor = getattr(material, "baseColorFactor", None)  # bytes of linear light
+    texel_at = _texture(getattr(material, "baseColorTexture", None), visual, faces, pictures)
+    linear = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3] / 255
+
+    def colour_at(triangle: Ints, weights: Floats) -> Bytes:
+        shade = np.tile(linear, (len(triangle), 1))
+        if light is not None:
+            shade *= np.einsum("nc,ncd->nd", weights, light[faces[triangle]])
+        return to_srgb(shade if texel_at is None else shade * to_linear(texel_at(triangle, weights)))
+
+    return colour_at
+
+
+def _texture(image: Any, visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
+    """Return a function that looks up the texels of a picture, or None without picture or texture coordinates."""
+    if image is None or visual.uv is None:
+        return None
+    uv = np.asarray(visual.uv, np.float64)
+    check_pixels(image.size, "texture")
+    if id(image) not in pictures:
+        pictures[id(image)] = np.asarray(image.convert("RGB"))
+    pixels = pictures[id(image)]
+    return lambda triangle, weights: nearest_texels(pixels, np.einsum("nc,ncd->nd", weights, uv[faces[triangle]]))

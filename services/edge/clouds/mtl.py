@@ -1,0 +1,92 @@
+"""Read Wavefront MTL files: the diffuse colour of each material, its texture, and where that lies.
+
+A texture's name may follow options (`map_Kd -s 2 2 -clamp on wood.jpg`), and is often a path of the machine that wrote
+the file: a file of that name is then looked for in the capture. Nothing outside the capture is opened.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+from capture2vr.edge.capture.files import Folder, read_text
+
+_OPTION = re.compile(
+    r"-(?:[ost]|mm)(?P<values>(?:\s+[-+]?[.\d][-+.\deE]*){1,3})\s+(?=\S)"
+    r"|-(?:blendu|blendv|bm|boost|cc|clamp|imfchan|texres|type)\s+\S+\s+(?=\S)",
+    re.IGNORECASE,
+)
+"""An option of a texture, with the space behind it: at least its name must follow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """A material of an MTL file.
+
+    diffuse        RGB, linear or not as its writer meant it, 0 to 1; None: the file does not say
+    texture        name of the diffuse texture's file in the capture, or None
+    absent         the texture as the file names it, where the capture has no such file; else ""
+    scale, offset  of texture coordinates: a texel is looked up at scale · uv + offset
+    """
+
+    diffuse: tuple[float, float, float] | None = None
+    texture: str | None = None
+    absent: str = ""
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+
+
+def read_mtl(folder: Folder, file: str) -> dict[str, Material]:
+    """Read the materials of an MTL file by their names.
+
+    Raises CAPTURE_UNREADABLE for a texture outside the capture that is not in the capture either.
+    """
+    materials: dict[str, Material] = {}
+    name = None
+    for line in read_text(folder.path(file), file).splitlines():
+        words = line.split(None, 1)
+        if len(words) < 2:
+            continue
+        key, rest = words[0].lower(), words[1].strip()
+        if key == "newmtl":
+            name = rest
+            materials[name] = Material()
+        elif name is not None and key == "kd" and (diffuse := _colour(rest)) is not None:
+            materials[name] = replace(materials[name], diffuse=diffuse)
+        elif name is not None and key == "map_kd":
+            materials[name] = _textured(materials[name], rest, folder, file)
+    return materials
+
+
+def _textured(material: Material, rest: str, folder: Folder, file: str) -> Material:
+    """Return the material with the texture that is named after `map_Kd` and its options."""
+    scale, offset = material.scale, material.offset
+    while (option := _OPTION.match(rest)) is not None:
+        rest = rest[option.end() :]
+        values = (option["values"] or "").split()
+        if option[0].startswith(("-s", "-S")):
+            scale = _pair(values, 1.0)
+        elif option[0].startswith(("-o", "-O")):
+            offset = _pair(values, 0.0)
+    found = folder.find(rest, by=file)
+    return replace(material, texture=found, absent="" if found else rest, scale=scale, offset=offset)
+
+
+def _pair(values: list[str], default: float) -> tuple[float, float]:
+    u, v = (*(float(value) for value in values), default, default)[:2]
+    return u, v
+
+
+def _colour(rest: str) -> tuple[float, float, float] | None:
+    """Read `r g b`, or `r` for a grey; None for a spectrum or nonsense."""
+    numbers = [number for word in rest.split()[:3] if (number := _number(word)) is not None]
+    if len(numbers) == 3:
+        return numbers[0], numbers[1], numbers[2]
+    return (numbers[0],) * 3 if len(numbers) == 1 and len(rest.split()) == 1 else None
+
+
+def _number(word: str) -> float | None:
+    try:
+        return float(word)
+    except ValueError:
+        return None

@@ -1,0 +1,299 @@
+"""Read Wavefront OBJ files: triangles in the colours of their textures, vertices and materials, or points alone.
+
+trimesh loses the texture of quads, which most modelling programs write, takes relative indices for those of the whole
+file, and finds no face behind a tab.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import chain, takewhile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture2vr.edge.arrays import Bytes, Floats, Ints, Tick
+from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
+from capture2vr.edge.capture.images import check_header, check_pixels, read_bytes
+from capture2vr.edge.capture.nouns import Cloud
+from capture2vr.edge.clouds.colours import rgb8
+from capture2vr.edge.clouds.mtl import Material, read_mtl
+from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
+from capture2vr.edge.clouds.surface_colours import absent_textures, nearest_texels, vertex_colours
+from capture2vr.edge.errors import CaptureError
+
+MAX_MATERIALS = 500  # scanners write tens; a large texture takes a second to decode
+_MAX_LINE = 2**20  # bytes: a polygon of a hundred thousand corners
+_PACKED = 200_000  # rows or faces that wait as words before they become numbers: words take ten times as much memory
+_TICK = 100_000  # lines between calls of the folder's tick
+
+
+@dataclass(frozen=True, slots=True)
+class ObjFile:
+    """What an OBJ file holds: its vertices as a cloud, its triangles if it has any, and warnings."""
+
+    vertices: Cloud
+    surface: SampledSurface | None
+    warnings: tuple[str, ...] = ()
+
+
+def read_obj(folder: Folder, file: str) -> ObjFile:
+    """Read an OBJ file, with the materials and textures that it names, in the file's own frame and units.
+
+    Raises CAPTURE_UNREADABLE, CAPTURE_TOO_LARGE and IMAGE_TOO_LARGE.
+    """
+    reader = _Reader(file)
+    with translate_errors(file, "OBJ"):
+        reader.read(read_bytes(folder.path(file), file), folder.tick)
+        vertices, coordinates = reader.vertices.array(), reader.coordinates.array()
+        faces, uv_faces, material = reader.triangles(len(vertices), len(coordinates))
+    if len(vertices) == 0:
+        raise unreadable(file, "has no vertices")
+    rgb = rgb8(vertices[:, 3:6]) if vertices.shape[1] >= 6 else None
+    cloud = Cloud(vertices[:, :3], rgb)
+    if len(faces) == 0:
+        return ObjFile(cloud, None)
+    known = _materials(folder, file, reader.libraries)
+    used = [known.get(name, Material()) for name in reader.materials]
+    for name in {each.texture for each in used if each.texture}:
+        check_header(read_bytes(folder.path(name), name), name)
+    uv = np.zeros((len(coordinates), 2))
+    uv[:, : coordinates.shape[1]] = coordinates[:, :2]
+    colours = _Colours(folder, used, material, uv, uv_faces, faces, rgb)
+    surface = SampledSurface(cloud.xyz, faces, colours.colour_at if colours.there else None)
+    return ObjFile(cloud, surface, absent_textures(file, [each.absent for each in used if each.absent]))
+
+
+class _Rows:
+    """Rows of numbers of one kind: words as they are read, arrays of float64 as soon as there are many."""
+
+    def __init__(self, least: int) -> None:
+        self._least = least
+        self._words: list[list[bytes]] = []
+        self._arrays: list[Floats] = []
+        self.count = 0
+
+    def add(self, words: list[bytes]) -> None:
+        self._words.append(words)
+        self.count += 1
+        if len(self._words) == _PACKED:
+            self._pack()
+
+    def array(self) -> Floats:
+        """All rows (N,C), C being the fewest numbers that a row has, and 6 at most."""
+        self._pack()
+        width = min((each.shape[1] for each in self._arrays), default=self._least)
+        return np.concatenate([np.zeros((0, width)), *(each[:, :width] for each in self._arrays)])
+
+    def _pack(self) -> None:
+        if not self._words:
+            return
+        width = min(6, min(map(len, self._words)))
+        if width < self._least:
+            raise ValueError(f"a vertex has {width} numbers, not {self._least}")
+        words = list(chain.from_iterable(row[:width] for row in self._words))
+        self._arrays.append(_numbers(words, np.float64).reshape(-1, width))
+        self._words.clear()
+
+
+class _Reader:
+    """Reads the lines of an OBJ: vertices, texture coordinates, and faces, which become triangles."""
+
+    def __init__(self, file: str) -> None:
+        self._file = file
+        self.vertices, self.coordinates = _Rows(3), _Rows(1)
+        self.materials = [""]  # names, in the order of their first use; "" before the first
+        self.libraries: list[str] = []
+        self._numbers = {"": 0}
+        self._material = 0
+        self._corners: list[bytes] = []
+        self._sizes: list[int] = []  # corners of each face
+        self._before: list[tuple[int, int, int]] = []  # vertices and coordinates before each face, and its material
+        self._parts: list[tuple[Ints, Ints, Ints]] = []
+        self._count = 0
+
+    def read(self, data: bytes, tick: Tick) -> None:
+        """Read all lines. A backslash at the end of one continues it on the next."""
+        if b"\\\n" in data or b"\\\r\n" in data:
+            data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+        lines = BytesIO(data)
+        for number, line in enumerate(lines):
+            if number % _TICK == 0:
+                tick(lines.tell() / len(data))
+            if len(line) > _MAX_LINE:
+                raise unreadable(self._file, f"has a line of {len(line):,} bytes; at most {_MAX_LINE:,} are read")
+            key, *words = line.split() or (b"",)
+            if b"#" in line:
+                words = list(takewhile(lambda word: not word.startswith(b"#"), words))
+            if not words:
+                continue
+            if key == b"v":
+                self.vertices.add(words)
+            elif key == b"vt":
+                self.coordinates.add(words)
+            elif key == b"f":
+                self._add_face(words)
+            elif key == b"usemtl":
+                self._use(_rest(line))
+            elif key == b"mtllib":
+                self.libraries.append(_rest(line))
+
+    def triangles(self, vertices: int, coordinates: int) -> tuple[Ints, Ints, Ints]:
+        """All triangles -> indices of vertices (F,3), of texture coordinates (F,3), -1: none, and of materials (F,)."""
+        self._pack()
+        empty = np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
+        faces, uv_faces, material = (np.concatenate(parts) for parts in zip(empty, *self._parts, strict=True))
+        if len(faces) and (faces.min() < 0 or faces.max() >= vertices):
+            raise ValueError("a face has indices of vertices that do not exist")
+        return faces, np.where(uv_faces < coordinates, uv_faces, -1), material
+
+    def _use(self, name: str) -> None:
+        self._material = self._numbers.setdefault(name, len(self.materials))
+        if self._material == len(self.materials):
+            self.materials.append(name)
+        if len(self.materials) - 1 > MAX_MATERIALS:
+            what = f"has more than {MAX_MATERIALS:,} materials, the most that are read"
+            hints = ("export the mesh with one texture",)
+            raise CaptureError("CAPTURE_TOO_LARGE", what, file=self._file, hints=hints)
+
+    def _add_face(self, corners: list[bytes]) -> None:
+        if len(corners) < 3:
+            return
+        self._corners += corners
+        self._sizes.append(len(corners))
+        self._before.append((self.vertices.count, self.coordinates.count, self._material))
+        self._count += len(corners) - 2
+        if len(self._corners) >= 4 * _PACKED:
+            self._pack()
+
+    def _pack(self) -> None:
+        """Make arrays of the faces that wait; polygons become fans of triangles."""
+        if self._count > MAX_FACES:
+            raise too_many_faces(self._count, self._file)
+        if not self._sizes:
+            return
+        size, before = np.array(self._sizes), np.array(self._before)
+        indices = _corner_indices(self._corners)
+        counts = np.repeat(before[:, :2], size, axis=0)
+        indices = np.where(indices < 0, indices + counts, indices - 1)  # relative to the last, or from 1 on
+        first = np.cumsum(size) - size
+        face = np.repeat(np.arange(len(size)), size - 2)
+        within = np.arange(len(face)) - np.repeat(np.cumsum(size - 2) - (size - 2), size - 2)
+        start = first[face]
+        fans = np.stack([start, start + within + 1, start + within + 2], axis=1)
+        self._parts.append((indices[fans, 0], indices[fans, 1], before[face, 2]))
+        self._corners.clear()
+        self._sizes.clear()
+        self._before.clear()
+
+
+def _rest(line: bytes) -> str:
+    return line.split(None, 1)[1].strip().decode("utf-8", "replace")
+
+
+def _corner_indices(corners: list[bytes]) -> Ints:
+    """Read `v`, `v/vt`, `v//vn` and `v/vt/vn` -> (N,2): vertex and texture coordinate, 0 where there is none."""
+    text = b" ".join(corners)
+    slashes = text.count(b"/")
+    if slashes == 0:
+        vertex = _numbers(corners, np.int64)
+        return np.stack([vertex, np.zeros_like(vertex)], axis=1)
+    alike = {corner.count(b"/") for corner in corners}
+    words = text.replace(b"//", b"/0/").replace(b"/", b" ").split()
+    if len(alike) == 1 and len(words) == len(corners) + slashes:
+        return _numbers(words, np.int64).reshape(len(corners), -1)[:, :2]
+    pairs = ((*corner.split(b"/"), b"")[:2] for corner in corners)
+    numbers = (int(number or b"0") for pair in pairs for number in pair)
+    return np.fromiter(numbers, np.int64, 2 * len(corners)).reshape(-1, 2)
+
+
+def _numbers(words: list[bytes], kind: type[np.float64 | np.int64]) -> NDArray[Any]:
+    """Read one number of each word. Raises ValueError."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)  # what NumPy says of text that is no number
+        try:
+            numbers = np.fromstring(b" ".join(words), kind, sep=" ")
+        except DeprecationWarning:
+            numbers = np.zeros(0, kind)
+    if len(numbers) != len(words):
+        raise ValueError("a line has something else where a number is expected")
+    return numbers
+
+
+def _materials(folder: Folder, file: str, libraries: Iterable[str]) -> dict[str, Material]:
+    """Read the material libraries of a mesh; of one that is absent, the one that has the mesh's own name."""
+    materials: dict[str, Material] = {}
+    for written in libraries:
+        names = [folder.find(written, by=file)]
+        if names == [None] and len(written.split()) > 1:
+            names = [folder.find(each, by=file) for each in written.split()]
+        own = posixpath.splitext(file)[0] + ".mtl"  # the mesh was renamed together with its materials
+        for name in names:
+            if name is not None or folder.exists(own):
+                materials = read_mtl(folder, name or own) | materials
+    return materials
+
+
+def _decode(folder: Folder, name: str) -> Bytes:
+    """Decode a texture to (H,W,3) uint8."""
+    from PIL import Image
+
+    with translate_errors(name, "picture"), Image.open(BytesIO(read_bytes(folder.path(name), name))) as image:
+        check_pixels(image.size, name)
+        return np.asarray(image.convert("RGB"), np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class _Colours:
+    """The colours of an OBJ's triangles: of the texture, or else of the vertices, or else of the material.
+
+    A material beside vertex colours is a writer's default: it is taken only where all vertices are white.
+    """
+
+    folder: Folder
+    materials: list[Material]
+    material: Ints  # (F,), of each triangle
+    uv: Floats  # (T,2)
+    uv_faces: Ints  # (F,3)
+    faces: Ints  # (F,3)
+    rgb: Bytes | None  # (V,3), of the vertices
+
+    @property
+    def there(self) -> bool:
+        """Whether anything has colours."""
+        return self._painted or any(each.texture or each.diffuse for each in self.materials)
+
+    @property
+    def _painted(self) -> bool:
+        return self.rgb is not None and bool((self.rgb < 255).any())
+
+    def colour_at(self, triangle: Ints, weights: Floats) -> Bytes:
+        """Colours (N,3) uint8 of points in `triangle` (N,) with barycentric `weights` (N,3); white without any."""
+        material = self.material[triangle]
+        if self.rgb is not None and self._painted:
+            rgb = vertex_colours(self.rgb, self.faces)(triangle, weights)
+        else:
+            rgb = np.stack([_diffuse(each) for each in self.materials])[material]
+        mapped = (self.uv_faces[triangle] >= 0).all(axis=1)
+        for name in sorted({each.texture for each in self.materials if each.texture}):
+            here = [number for number, each in enumerate(self.materials) if each.texture == name]
+            at = np.flatnonzero(mapped & np.isin(material, here))
+            if len(at):
+                uv = np.einsum("nc,ncd->nd", weights[at], self.uv[self.uv_faces[triangle[at]]])
+                scale = np.array([each.scale for each in self.materials])[material[at]]
+                offset = np.array([each.offset for each in self.materials])[material[at]]
+                rgb[at] = nearest_texels(_decode(self.folder, name), uv * scale + offset)
+        return rgb
+
+
+def _diffuse(material: Material) -> Bytes:
+    """RGB of a material's colour; white where it has a texture, whose coordinates are missing, or no colour."""
+    if material.texture or material.diffuse is None:
+        return np.full(3, 255, np.uint8)
+    rgb: Bytes = np.rint(255 * np.clip(np.nan_to_num(np.array(material.diffuse)), 0, 1)).astype(np.uint8)
+    return rgb

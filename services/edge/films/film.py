@@ -1,0 +1,89 @@
+"""Read a video without poses (mp4, mov, webm): its key frames become photos, which one camera of unknown lens took."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
+from capture2vr.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo
+from capture2vr.edge.capture.photos import pictures
+from capture2vr.edge.capture.picture import first_bytes
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.films.film_scan import DEADLINE_S, SKIP, VideoScan, scan_video
+from capture2vr.edge.films.keyframes import key_frames
+from capture2vr.edge.films.video import VideoFrames, VideoPixels
+from capture2vr.edge.films.video_streams import container_of
+
+_WALK = "walk around the thing while you film, slowly and all the way, with textured things beside it"
+
+
+def find_videos(folder: Folder) -> list[str]:
+    """Return the files that have a video's magic number, largest first."""
+    others = set(pictures(folder))
+    found = [name for name in folder.names if name not in others and container_of(first_bytes(folder.path(name), name))]
+    return sorted(found, key=lambda name: -folder.path(name).stat().st_size)
+
+
+def unused_warning(names: Sequence[str]) -> tuple[str, ...]:
+    """Return a warning about videos that were not read; none for an empty list."""
+    if not names:
+        return ()
+    return (f"{names[0]} was not used" if len(names) == 1 else f"{len(names)} videos were not used: {names[0]}, ...",)
+
+
+def read(folder: Folder) -> Capture:
+    """Read the largest video of the folder. Raises what `read_film` raises."""
+    name, *others = find_videos(folder)
+    film = read_film(folder, name)
+    beside = len(pictures(folder))
+    few = (f"{beside} photos beside {name} were not used: at least {MIN_PHOTOS} are needed",) if beside else ()
+    return Capture("photos", "video", photos=film.photos, warnings=(*film.warnings, *unused_warning(others), *few))
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """Key frames of a video as photos, in their order, with their frame numbers in the video, and warnings."""
+
+    photos: tuple[Photo, ...]
+    numbers: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+
+def read_film(folder: Folder, name: str) -> Film:
+    """Select the key frames of a video in one pass over it, and return them as photos that decode lazily.
+
+    Raises CAPTURE_LOW_OVERLAP when hardly anything moves, CAPTURE_EMPTY, CAPTURE_UNREADABLE, CAPTURE_TOO_LARGE and
+    IMAGE_TOO_LARGE.
+    """
+    path = folder.path(name)
+    with translate_errors(name, "video"):
+        scan = scan_video(path, name, folder.tick)
+        stamps = [frame.stamp for frame in key_frames(scan.frames)]
+    if len(stamps) < MIN_PHOTOS:
+        raise _too_few_frames(scan, name)
+    size, frames = scan.stream.size, VideoFrames(path, name, cached=stamps, skip=SKIP)
+    camera = f"{name}, {size[0]} x {size[1]}"
+    photos = tuple(
+        Photo(_photo_name(name, scan.seconds(stamp)), size, camera, VideoPixels(frames, stamp, size), turns=scan.turns)
+        for stamp in stamps
+    )
+    return Film(photos, tuple(map(scan.index.stamps.index, stamps)), scan.faults(name))
+
+
+def _photo_name(name: str, seconds: float) -> str:
+    return f"{name} at {seconds:.2f} s"
+
+
+def _too_few_frames(scan: VideoScan, name: str) -> CaptureError:
+    """Return the error for a video without enough key frames: too slow, undecodable, too short, or without movement."""
+    count = len(scan.frames)
+    if scan.late and count < MIN_PHOTOS:
+        reason = f"takes too long to decode: only {count} pictures in {DEADLINE_S:.0f} s"
+        return CaptureError("CAPTURE_TOO_LARGE", reason, file=name, hints=("film in 1920 x 1080",))
+    if count < MIN_PHOTOS:
+        damaged = scan.broken_s is not None or not count
+        reason = "is damaged: it cannot be decoded" if damaged else f"is too short: it has only {count} frames"
+        return unreadable(name, reason, "copy it from the phone again, or film for 20 seconds")
+    reason = f"shows the thing from one side only: in {scan.end_s:.0f} s hardly anything moves"
+    return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=name, hints=(_WALK, f"or {WALK_AROUND_ADVICE}"))

@@ -1,0 +1,182 @@
+"""Detect the format of a capture from its content, and read it: `read_capture` is the only entry point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from capture2vr.edge.arrays import Tick, no_tick
+from capture2vr.edge.capture import photos, pose_files
+from capture2vr.edge.capture.calibration import is_side_table
+from capture2vr.edge.capture.files import Folder, open_folder, translate_errors, unreadable
+from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture
+from capture2vr.edge.clouds.cloud import cloud_format, read_cloud
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.films import film
+from capture2vr.edge.recordings import (
+    arkitscenes,
+    colmap,
+    depth16,
+    kitti,
+    nerfstudio,
+    polycam,
+    record3d,
+    replica,
+    scanner3d,
+    stray,
+    tum,
+)
+
+_FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
+    (record3d.matches, record3d.read),
+    (stray.matches, stray.read),
+    (polycam.matches, polycam.read),
+    (scanner3d.matches, scanner3d.read),
+    (nerfstudio.matches, nerfstudio.read),
+    (colmap.matches, colmap.read),
+    (depth16.matches, depth16.read),
+    (pose_files.matches, pose_files.read),
+    (arkitscenes.matches, arkitscenes.read),
+    (replica.matches, replica.read),
+    (kitti.matches, kitti.read),
+    (tum.matches, tum.read),  # last: it accepts any capture with a folder called "depth"
+)
+_CLOUD_SUFFIXES = (
+    ".ply",
+    ".pcd",
+    ".xyz",
+    ".pts",
+    ".npy",
+    ".las",
+    ".laz",
+    ".e57",
+    ".obj",
+    ".off",
+    ".stl",
+    ".glb",
+    ".gltf",
+)
+# Of models that are not read, whose folders and archives have textures: these are no photos of the thing.
+_UNREAD_MODELS = (".usd", ".usda", ".usdc", ".usdz", ".fbx", ".dae", ".3mf", ".3ds", ".blend", ".skp", ".step", ".stp")
+_ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
+# Text tables of numbers that belong to a recording; they look like point clouds, and are none.
+_SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
+_FORMATS_HINT = (
+    "send photos, a video, a point cloud, a mesh, or a scanning app's export; see the list of supported formats"
+)
+
+
+def read_capture(folder: Path, *, tick: Tick = no_tick) -> Capture:
+    """Read and check an uploaded capture: an unpacked folder or a single file.
+
+    Poses, intrinsics, counts, image headers and the first and last depth image are checked here; images load lazily.
+    `tick` is called while a video is scanned and while a LAZ is decoded. Raises CaptureError, naming the file,
+    the reason and what to do, and Cancelled when `tick` does.
+    """
+    # No floating-point warnings for overflow and NaN: the values are checked after reading.
+    with np.errstate(all="ignore"), translate_errors(folder.name, "capture"):
+        if not folder.exists():
+            raise CaptureError("CAPTURE_EMPTY", "there is no such file or folder", file=folder.name)
+        if folder.is_dir():
+            return _read_folder(_skip_wrapper_folders(replace(open_folder(folder), tick=tick)))
+        return _read_files(Folder(folder.parent, (folder.name,), tick))
+
+
+def _skip_wrapper_folders(folder: Folder) -> Folder:
+    """Return the innermost folder that contains all files: archives often wrap everything in a single top folder."""
+    tops = {name.split("/", 1)[0] for name in folder.names}
+    if len(tops) != 1 or any("/" not in name for name in folder.names):
+        return folder
+    (top,) = tops
+    if top in ("depth", "keyframes", "rgbd"):
+        return folder
+    inner = tuple(name.split("/", 1)[1] for name in folder.names)
+    return _skip_wrapper_folders(replace(folder, root=folder.root / top, names=inner))
+
+
+def _read_folder(folder: Folder) -> Capture:
+    if not folder.names:
+        raise CaptureError("CAPTURE_EMPTY", "the capture has no files", hints=(_FORMATS_HINT,))
+    for matches, read in _FORMATS:
+        if matches(folder):
+            return read(folder)
+    return _read_files(folder)
+
+
+def _read_files(folder: Folder) -> Capture:
+    """Read the largest point cloud or mesh among the files; without one, photos or a video."""
+    archive = next((name for name in folder.names if record3d.is_archive(folder.path(name))), None)
+    if archive is not None:
+        return record3d.read_archive(folder.path(archive), archive)
+    candidates = [(name, kind) for name in folder.names if (kind := _candidate(folder, name)) is not None]
+    if not candidates:
+        return _read_pictures(folder)
+    candidates.sort(key=lambda found: -folder.path(found[0]).stat().st_size)
+    (name, kind), others = candidates[0], [other for other, _ in candidates[1:]]
+    capture = read_cloud(folder, name, kind)
+    if not others:
+        return capture
+    more = f"only {name} was used; {len(others)} other point clouds or meshes were not ({', '.join(others[:3])})"
+    return replace(capture, warnings=(*capture.warnings, more))
+
+
+def _read_pictures(folder: Folder) -> Capture:
+    """Read the photos, or a video when there are too few photos. Called after clouds: meshes have texture images."""
+    videos = film.find_videos(folder)
+    model = next((name for name in folder.names if name.lower().endswith(_UNREAD_MODELS)), None)
+    if model is not None and not videos and not any(_is_by_camera(folder, name) for name in photos.pictures(folder)):
+        hints = ("export it as GLB, OBJ, PLY or STL, and send that",)
+        raise CaptureError("CAPTURE_UNKNOWN_FORMAT", "is a model in a format that is not read", file=model, hints=hints)
+    if videos and len(photos.pictures(folder)) < MIN_PHOTOS:
+        return film.read(folder)
+    if not photos.matches(folder):
+        raise _nothing_readable(folder)
+    capture = photos.read(folder)
+    return replace(capture, warnings=(*capture.warnings, *film.unused_warning(videos)))
+
+
+def _is_by_camera(folder: Folder, name: str) -> bool:
+    """Return whether a picture tells the focal length that it was taken with."""
+    try:
+        return photos.read_photo(folder, name).focal_px is not None
+    except CaptureError:
+        return False
+
+
+def _candidate(folder: Folder, name: str) -> str | None:
+    """Return the point cloud or mesh format of a file, or None when it is neither."""
+    if name.rsplit("/", 1)[-1].lower() in _SIDE_TABLES:
+        return None
+    kind = cloud_format(folder, name)
+    return None if kind == "xyz" and len(folder.names) > 1 and is_side_table(folder, name) else kind
+
+
+def _nothing_readable(folder: Folder) -> CaptureError:
+    """Return the most specific error for a capture without a readable file: empty, mislabelled, archive, unknown."""
+    sizes = {name: folder.path(name).stat().st_size for name in folder.names}
+    if not any(sizes.values()):
+        only = folder.names[0] if len(folder.names) == 1 else None
+        return CaptureError("CAPTURE_EMPTY", "the file is empty" if only else "all files are empty", file=only)
+    for name in folder.names:
+        if name.lower().endswith(_CLOUD_SUFFIXES):
+            what = (
+                f"has the suffix {Path(name).suffix}, but its content is another format" if sizes[name] else "is empty"
+            )
+            return unreadable(name, what) if sizes[name] else CaptureError("CAPTURE_EMPTY", what, file=name)
+    heads = [_head(folder.path(name)) for name in folder.names]
+    only = folder.names[0] if len(folder.names) == 1 else None
+    archive = next((name for name, head in zip(folder.names, heads, strict=True) if head.startswith(_ARCHIVES)), None)
+    if archive is not None:
+        hint = "unpack it and send the files"
+        what = "is an archive; archives are not unpacked here"
+        return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=archive, hints=(hint,))
+    what = "is not in a known format" if only else "no file of the capture is in a known format"
+    return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=only, hints=(_FORMATS_HINT,))
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(16)

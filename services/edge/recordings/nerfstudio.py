@@ -1,0 +1,249 @@
+"""Read captures of nerfstudio, instant-ngp and NeRFCapture: `transforms.json`, images and, optionally, depth images.
+
+Poses are camera-to-world in OpenGL axes. Pixel corners are at integers (COLMAP's convention), ours are pixel centres,
+so half a pixel is subtracted from cx and cy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.depth import ColourSource, DepthSource, ImageColour, depth_file
+from capture2vr.edge.capture.files import Folder, number, numbers, read_json, unreadable
+from capture2vr.edge.capture.frame_records import (
+    FrameRecord,
+    checked_intrinsics,
+    image_dimensions,
+    missing_warning,
+    rgbd_capture,
+)
+from capture2vr.edge.capture.images import has_8_bits, image_size, read_bytes
+from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
+from capture2vr.edge.capture.photos import read_photo
+from capture2vr.edge.capture.posed_photos import GivenCamera, posed_capture, unlisted_warning, with_camera
+from capture2vr.edge.errors import CaptureError
+
+FILE = "transforms.json"
+METRES_PER_STEP = 1e-3  # where the file has none of _DEPTH_UNITS: millimetres, as nerfstudio has it
+_DEPTH_UNITS = ("depth_unit_scale_factor", "integer_depth_scale")  # metres per step: nerfstudio's, instant-ngp's
+_NEGLIGIBLE_DISTORTION = (
+    1e-6  # largest coefficient that is ignored: less distortion moves no pixel by a hundredth of a pixel
+)
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
+_MODELS = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+
+
+def matches(folder: Folder) -> bool:
+    """Return whether the folder has a transforms.json."""
+    return folder.has(FILE)
+
+
+def read(folder: Folder) -> Capture:
+    """Read the capture: RGB-D frames, or posed photos where there is no depth, or only 8-bit previews of it.
+
+    Raises CaptureError, naming the file.
+    """
+    tree = read_json(folder.path(FILE), FILE)
+    frames = tree.get("frames")
+    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+        raise unreadable(FILE, "has no list of objects under the key 'frames'")
+    if not frames:
+        raise CaptureError("CAPTURE_EMPTY", "has an empty list of frames", file=FILE)
+    named = [(frame, _depth_name(folder, frame)) for frame in frames]
+    if all(name is None for _, name in named):
+        return _photos(folder, tree, frames)
+    missing = [name for _, name in named if name is not None and not folder.has(name)]
+    present = [(frame, name) for frame, name in named if name is not None and folder.has(name)]
+    if not present:
+        reason = f"lists {len(missing)} depth images, but the capture has none of them; the first is {missing[0]}"
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the folder of depth images too",))
+    if _is_preview(folder, present[0][1]) and (capture := _photos_instead(folder, tree, frames, present[0][1])):
+        return capture
+    records = [_record(folder, tree | frame, name) for frame, name in present]
+    warnings = missing_warning(missing, "depth images")
+    return rgbd_capture("nerfstudio", records, axes="opengl", up=None, file=FILE, warnings=warnings)
+
+
+def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]]) -> Capture:
+    """Read the images as posed photos. The scale is unknown: it depends on the program that computed the poses."""
+    named = [(tree | frame, _image_name(folder, frame)) for frame in frames]
+    missing = [name for _, name in named if not folder.has(name)]
+    present = [(frame, name) for frame, name in named if folder.has(name)]
+    if not present:
+        reason = f"lists {len(missing)} images, but the capture has none of them; the first is {missing[0]}"
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the images too",))
+    tries = [partial(_photo, folder, frame, name) for frame, name in present]
+    depths = [depth for frame, _ in present if (depth := _depth_name(folder, frame)) is not None]
+    unlisted = unlisted_warning(folder, {*depths, *(name for _, name in present)}, FILE)
+    return posed_capture("nerfstudio", tries, warnings=(*missing_warning(missing, "images"), *unlisted))
+
+
+def _image_name(folder: Folder, frame: Mapping[str, Any]) -> str:
+    """Return the name of a frame's image, adding the suffix where it is missing, as in instant-ngp's synthetic sets."""
+    name = folder.resolve(frame.get("file_path"), by=FILE)
+    return name if folder.has(name) else next((name + end for end in (".png", ".jpg") if folder.has(name + end)), name)
+
+
+def _photo(folder: Folder, frame: Mapping[str, Any], name: str) -> Photo:
+    photo = read_photo(folder, name)
+    camera = _camera(frame, lambda: photo.size)
+    lens = _lens(frame, camera)
+    pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {name}").reshape(4, 4)
+    key = f"{camera.fx:.2f} {camera.cx:.2f} {camera.cy:.2f}"
+    return with_camera(photo, GivenCamera(key, camera, lens.coefficients if lens else (0.0,) * 5, pose, "opengl"))
+
+
+def _is_preview(folder: Folder, depth: str) -> bool:
+    """Return whether a depth image has 8 bits, as NeRFCapture's: greys without a unit. False for an unreadable one."""
+    if depth.lower().endswith(".npy"):
+        return False
+    try:
+        return has_8_bits(read_bytes(folder.path(depth), depth), depth)
+    except CaptureError:
+        return False  # reported as every broken depth image is
+
+
+def _photos_instead(
+    folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]], depth: str
+) -> Capture | None:
+    """Read the images as posed photos, with a warning that `depth` is a preview; None where there are no images."""
+    pictured = [frame for frame in frames if frame.get("file_path")]
+    if not any(folder.has(_image_name(folder, frame)) for frame in pictured):
+        return None
+    capture = _photos(folder, tree, pictured)
+    warning = (
+        f"{depth}: has 8 bits per pixel, so the depth images are previews without a unit; they were ignored, and the "
+        "images used as photos. Measured depth has 16 or 32 bits: export that, if the app can"
+    )
+    return replace(capture, warnings=(warning, *capture.warnings))
+
+
+def _depth_name(folder: Folder, frame: Mapping[str, Any]) -> str | None:
+    written = frame.get("depth_file_path") or frame.get("depth_path")
+    return None if written is None else folder.resolve(written, by=FILE)
+
+
+def _record(folder: Folder, frame: Mapping[str, Any], depth: str) -> FrameRecord:
+    """Read one frame. `frame` has the file's keys, overridden by the frame's: intrinsics may be in either place."""
+    colour = folder.resolve(frame["file_path"], by=FILE) if "file_path" in frame else None
+    colour = colour if colour is not None and folder.has(colour) else None
+    pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {depth}").reshape(4, 4)
+    source = depth_file(folder.path(depth), depth, _metres_per_step(frame))
+    camera = _camera(frame, source.size if colour is None else partial(image_size, folder.path(colour), colour))
+    lens = _lens(frame, camera)
+    rgb: ColourSource | None = None if colour is None else ImageColour(folder.path(colour), colour)
+    if lens is not None:
+        source, rgb = UndistortedDepth(source, lens), None if rgb is None else UndistortedColour(rgb, lens)
+    return FrameRecord(depth, camera, pose, source, None, rgb)
+
+
+def _metres_per_step(frame: Mapping[str, Any]) -> float:
+    key = next((key for key in _DEPTH_UNITS if key in frame), None)
+    scale = METRES_PER_STEP if key is None else number(frame, key, file=FILE)
+    if not 0 < scale < math.inf:
+        raise unreadable(FILE, f"has {key} = {scale}, which is not a positive, finite number")
+    return scale
+
+
+def _camera(frame: Mapping[str, Any], measured: Callable[[], tuple[int, int]]) -> Intrinsics:
+    """Return the intrinsics, for the image size in the file or else for the `measured` one."""
+    if "w" in frame and "h" in frame:
+        width, height = number(frame, "w", file=FILE), number(frame, "h", file=FILE)
+    else:
+        width, height = measured()
+    size = image_dimensions(width, height, FILE)
+    fx = _focal(frame, "x", width)
+    fy = _focal(frame, "y", height) if "fl_y" in frame or "camera_angle_y" in frame else fx
+    cx = number(frame, "cx", file=FILE) if "cx" in frame else width / 2
+    cy = number(frame, "cy", file=FILE) if "cy" in frame else height / 2
+    return checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, *size), FILE)
+
+
+def _focal(frame: Mapping[str, Any], axis: str, side: float) -> float:
+    """Return the focal length in pixels, given as such or as the field of view: side = 2 f tan(angle / 2)."""
+    if f"fl_{axis}" in frame:
+        return number(frame, f"fl_{axis}", file=FILE)
+    if f"camera_angle_{axis}" not in frame:
+        what = f"has neither fl_{axis} nor camera_angle_{axis}, so the focal length is unknown"
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE)
+    half = number(frame, f"camera_angle_{axis}", file=FILE) / 2
+    return side / (2 * math.tan(half)) if 0 < half < math.pi / 2 else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class DistortedCamera:
+    """A camera with lens distortion: OpenCV's coefficients (k1, k2, p1, p2, k3)."""
+
+    camera: Intrinsics
+    coefficients: tuple[float, ...]
+
+    def undistort(self, image: Any, *, smooth: bool) -> Any:
+        """Undistort an image, keeping the camera matrix; 0 where the original has no pixel.
+
+        smooth: bilinear interpolation, else nearest. Depth needs nearest: a mean of front and back is a false point.
+        """
+        import cv2
+
+        height, width = image.shape[:2]
+        camera = self.camera.scaled_to(width, height)
+        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+        maps = cv2.initUndistortRectifyMap(
+            matrix, np.array(self.coefficients), np.eye(3), matrix, (width, height), cv2.CV_32FC1
+        )
+        return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
+
+
+def _lens(frame: Mapping[str, Any], camera: Intrinsics) -> DistortedCamera | None:
+    """Return the camera with its distortion, or None without any. Raises CAPTURE_BAD_INTRINSICS."""
+    if str(frame.get("camera_model", "")).upper() not in _MODELS or frame.get("is_fisheye"):
+        what = f"has the camera model {frame.get('camera_model', 'fisheye')!r}, which is not supported"
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE, hints=("undistort the images first",))
+    coefficients = tuple(number(frame, key, file=FILE) if key in frame else 0.0 for key in _DISTORTION)
+    if not all(math.isfinite(value) for value in coefficients):
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has lens distortion coefficients that are not finite", file=FILE)
+    return DistortedCamera(camera, coefficients) if max(map(abs, coefficients)) > _NEGLIGIBLE_DISTORTION else None
+
+
+@dataclass(frozen=True, slots=True)
+class UndistortedDepth:
+    """The depth image of `source`, undistorted."""
+
+    source: DepthSource
+    lens: DistortedCamera
+
+    @property
+    def file(self) -> str:
+        return self.source.file
+
+    def size(self) -> tuple[int, int]:
+        return self.source.size()
+
+    def load(self) -> Floats:
+        depth_m: Floats = self.lens.undistort(self.source.load(), smooth=False)
+        return depth_m
+
+
+@dataclass(frozen=True, slots=True)
+class UndistortedColour:
+    """The colour image of `source`, undistorted."""
+
+    source: ColourSource
+    lens: DistortedCamera
+
+    @property
+    def file(self) -> str:
+        return self.source.file
+
+    def size(self) -> tuple[int, int]:
+        return self.source.size()
+
+    def load(self) -> Bytes:
+        rgb: Bytes = self.lens.undistort(self.source.load(), smooth=True)
+        return rgb

@@ -1,0 +1,222 @@
+"""The gateway's SQL database: its engine, and schema migrations (Alembic). A commit survives a power cut.
+
+SQLite by default: a write-ahead log, so that readers never wait for the writer; every commit is synced; writers lock at
+BEGIN, because a transaction that reads first and writes later fails at once instead of waiting for the lock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.engine import Connection, Engine
+
+metadata = sa.MetaData()
+"""All tables of the gateway; a test compares them with what the migrations make."""
+
+_MIGRATIONS = Path(__file__).parents[1] / "migrations"
+_FIRST = "0001"  # the schema of databases that are older than the migrations
+_LOCK = 0x63327672  # Postgres: key of the lock that one gateway holds while it migrates; any number, only ours
+_CHECK_MS = 1_000  # wait of a health check
+_POSTGRES = {
+    "client_encoding": "utf8",  # whatever PGCLIENTENCODING says
+    "connect_timeout": "5",
+    # A server that vanished without a word is noticed after 15 s instead of a quarter of an hour.
+    "keepalives_idle": "5",
+    "keepalives_interval": "5",
+    "keepalives_count": "2",
+    "tcp_user_timeout": "15000",
+}
+_BUSY_MS = 10_000  # wait for the lock: other processes hold it for a synced commit; longer than 10 s is a fault
+
+
+def open_engine(url: str) -> Engine:
+    """Open the database and bring its schema up to date.
+
+    Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used: SchemaNewer for one of a newer gateway, WrongEncoding.
+    """
+    engine = create_engine(url)
+    try:
+        check_encoding(engine)
+        _migrate(engine)
+    except BaseException:
+        engine.dispose()
+        raise
+    return engine
+
+
+def create_engine(url: str) -> Engine:
+    """Return the engine of a database, which connects at first use; its schema is left as it is."""
+    # psycopg would prepare statements after some uses, and Postgres then plan them for no state of a job in particular.
+    options = {} if url.startswith("sqlite") else {"prepare_threshold": None}
+    engine = sa.create_engine(_completed(url), pool_pre_ping=not url.startswith("sqlite"), connect_args=options)
+    if engine.dialect.name == "sqlite":
+        sa.event.listen(engine, "connect", _prepare)
+        sa.event.listen(engine, "begin", _begin)
+    return engine
+
+
+def _completed(url: str) -> sa.URL:
+    """Return a database's URL with the driver and the timeouts that the gateway uses, where it names none."""
+    parsed = sa.make_url(url)
+    if parsed.drivername in ("postgres", "postgresql"):
+        parsed = parsed.set(drivername="postgresql+psycopg")
+    if parsed.get_backend_name() == "postgresql":
+        parsed = parsed.set(query={**_POSTGRES, **parsed.query})
+    return parsed
+
+
+class SchemaNewer(sa.exc.SQLAlchemyError):
+    """The database was migrated by a newer version of the gateway."""
+
+
+class WrongEncoding(sa.exc.SQLAlchemyError):
+    """The database cannot store all text."""
+
+
+def check_encoding(engine: Engine) -> None:
+    """Raises WrongEncoding for a Postgres database that is not in UTF-8: it returns text as bytes, or refuses it."""
+    if engine.dialect.name != "postgresql":
+        return
+    with engine.connect() as db:
+        encoding = db.execute(sa.text("SHOW server_encoding")).scalar_one()
+    if encoding != "UTF8":
+        raise WrongEncoding(
+            f"the jobs database '{engine.url.database}' has the encoding {encoding}, and names are stored in UTF-8: "
+            "make another with CREATE DATABASE name ENCODING 'UTF8' TEMPLATE template0, and name it in "
+            "GATEWAY_DATABASE_URL"
+        )
+
+
+def for_writing(engine: Engine) -> Engine:
+    """Return the engine with transactions that take SQLite's write lock at BEGIN."""
+    return engine.execution_options(writes=True)
+
+
+def upsert(db: Connection, table: sa.Table, key: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+    """Insert a row, or update the one with this primary key, in one statement: another process may do so just now."""
+    insert = postgresql.insert if db.dialect.name == "postgresql" else sqlite.insert
+    row = insert(table).values({**key, **values})
+    db.execute(row.on_conflict_do_update(index_elements=list(key), set_=dict(values)))
+
+
+def insert_if_absent(db: Connection, table: sa.Table, values: Mapping[str, Any]) -> None:
+    """Insert a row unless there is one with its primary key."""
+    insert = postgresql.insert if db.dialect.name == "postgresql" else sqlite.insert
+    db.execute(insert(table).values(dict(values)).on_conflict_do_nothing())
+
+
+@contextmanager
+def pipelined(db: Connection) -> Iterator[None]:
+    """Send the block's statements to Postgres without waiting for the answer to each: one round trip for all of them.
+
+    Only for statements whose rows and counts nobody reads. Other databases have no round trips.
+    Raises sqlalchemy.exc.DBAPIError at the end of the block for what a statement is refused for.
+    """
+    if db.dialect.name != "postgresql":
+        yield
+        return
+    import psycopg  # Here, because it is installed only where the database is Postgres.
+
+    raw: Any = db.connection.dbapi_connection
+    try:
+        with raw.pipeline():
+            yield
+    except BaseException as error:
+        with suppress(psycopg.Error):  # SQLAlchemy rolls nothing back where COMMIT failed, which here was not reached
+            raw.rollback()
+        if isinstance(error, psycopg.Error):
+            raise sa.exc.DBAPIError.instance(None, None, error, psycopg.Error, dialect=db.dialect) from error
+        raise
+
+
+@contextmanager
+def brief_wait(db: Connection) -> Iterator[None]:
+    """Wait only a moment for SQLite's lock, on this connection: whoever asks whether the database can be written."""
+    if db.dialect.name != "sqlite":
+        yield
+        return
+    raw: Any = db.connection.dbapi_connection
+    raw.execute(f"PRAGMA busy_timeout={_CHECK_MS}")
+    try:
+        yield
+    finally:
+        raw.execute(f"PRAGMA busy_timeout={_BUSY_MS}")
+
+
+def newest_schema() -> str:
+    """Return the revision of the schema that this version works with."""
+    return str(_scripts().get_current_head())
+
+
+def schema_of(db: Connection) -> str | None:
+    """Return the revision of a database's schema; None where it has none, or one of before the migrations."""
+    from alembic.runtime.migration import MigrationContext
+
+    return MigrationContext.configure(db).get_current_revision()
+
+
+def upgrade(db: Connection, revision: str) -> None:
+    """Run the migrations up to a revision that this database lacks, in the present transaction. Raises SchemaNewer."""
+    from alembic.config import Config
+    from alembic.runtime.environment import EnvironmentContext
+    from alembic.runtime.migration import MigrationContext
+    from alembic.util.exc import CommandError
+
+    scripts, present = _scripts(), schema_of(db)
+    if present is None and sa.inspect(db).has_table("jobs"):
+        MigrationContext.configure(db).stamp(scripts, _FIRST)
+        present = _FIRST
+    try:
+        steps = scripts._upgrade_revs(revision, present)
+    except CommandError:
+        raise SchemaNewer(f"the jobs database is of a newer gateway (schema {present}); install that version") from None
+    with EnvironmentContext(Config(), scripts, fn=lambda *_: steps) as environment:
+        environment.configure(connection=db)
+        environment.run_migrations()
+
+
+def is_known_schema(revision: str) -> bool:
+    """Return whether this version knows a revision of the schema; else the revision is of a newer version."""
+    return any(revision == script.revision for script in _scripts().walk_revisions())
+
+
+def _migrate(engine: Engine) -> None:
+    """Run the migrations that this database lacks, in one transaction; several gateways may start at once."""
+    newest = newest_schema()
+    with engine.connect() as db, db.begin():
+        if schema_of(db) == newest:
+            return
+    with for_writing(engine).connect() as db, db.begin():
+        lock_schema(db)
+        upgrade(db, newest)
+
+
+def lock_schema(db: Connection) -> None:
+    """Keep other gateways from migrating until this transaction has ended. SQLite's one writer needs no lock."""
+    if db.dialect.name == "postgresql":
+        db.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+
+
+def _scripts() -> Any:
+    # Here, because Alembic takes 0.2 s to import, and the command line imports this module for less.
+    from alembic.script import ScriptDirectory
+
+    return ScriptDirectory(str(_MIGRATIONS), version_locations=[str(_MIGRATIONS)])
+
+
+def _prepare(connection: Any, _: Any) -> None:
+    connection.isolation_level = None  # the driver must not begin transactions by itself: `_begin` does
+    cursor = connection.cursor()
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={_BUSY_MS}"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _begin(connection: Connection) -> None:
+    writes = connection.get_execution_options().get("writes", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
