@@ -8,6 +8,7 @@
 # make dist         wheel, source distribution, SBOM and their hashes in dist/, to look at
 # make release      checked, with notes, and signed: KEY=path of an Ed25519 key of OpenSSH; docs/releasing.md tells the steps
 # make proto        services/edge/api from proto/
+# make docs         the documentation site on http://127.0.0.1:8000
 # make drawing      docs/rooms.svg from the imports
 # make setup        .venv with the product; make test-setup adds what tests need
 # make clean        remove .venv and node_modules, and what builds and demos left
@@ -24,7 +25,7 @@ FAST ?=
 KEY ?=
 export OMP_NUM_THREADS ?= 2
 
-.PHONY: help demo test test-compose lint setup test-setup bench audit sbom dist release proto drawing clean
+.PHONY: help demo test test-compose lint setup test-setup bench audit sbom dist release proto docs drawing clean
 .DEFAULT_GOAL := help
 
 help:
@@ -77,6 +78,11 @@ release: .venv/.test-ready
 
 proto: .venv/.test-ready
 	.venv/bin/python proto/generate.py
+
+docs: .venv/.ready
+	.venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	.venv/bin/python docs/make_site.py
+	.venv/bin/zensical serve
 
 drawing: .venv/.test-ready
 	.venv/bin/python docs/draw_rooms.py

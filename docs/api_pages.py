@@ -1,8 +1,9 @@
-"""Write the HTTP API as Markdown pages, from the gateway's OpenAPI document: one page per group of routes, one of schemas."""
+"""Write the HTTP API as Markdown pages, from the gateway's OpenAPI document: one per group of routes, and schemas."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -54,19 +55,20 @@ def _index_page(index: dict[str, list[str]]) -> str:
     parts = [
         "# All routes",
         "",
-        "Made from the gateway's own `/openapi.json`, so it is what this version does. [The ten usual calls](../api.md)",
-        "come with curl, Python and JavaScript. Errors are problem documents whose codes are explained in",
-        "[Troubleshooting](../troubleshooting.md).",
+        "Made from the gateway's own `/openapi.json`, so it is what this version does.",
+        "[The ten usual calls](../api.md) come with curl, Python and JavaScript.",
+        "Errors are problem documents, whose codes [Troubleshooting](../troubleshooting.md) explains.",
     ]
     for group, rows in index.items():
-        parts += ["", f"## {group.capitalize()}", "", GROUPS[group], "", "| route | what it does | scope |", "|---|---|---|"]
-        parts += rows
+        parts += ["", f"## {group.capitalize()}", "", GROUPS[group], ""]
+        parts += ["| route | what it does | scope |", "|---|---|---|", *rows]
     return "\n".join(parts) + "\n"
 
 
 def _row(group: str, method: str, path: str, operation: dict[str, Any]) -> str:
     first = operation.get("description", operation["summary"]).split(". ")[0].split("\n\n")[0].replace("\n", " ")
-    return f"| [`{method.upper()} {path}`]({group}.md#{_anchor(method, path)}) | {_cell(first)} | {_scopes(operation)} |"
+    link = f"[`{method.upper()} {path}`]({group}.md#{_anchor(method, path)})"
+    return f"| {link} | {_cell(first)} | {_scopes(operation)} |"
 
 
 def _route(method: str, path: str, operation: dict[str, Any]) -> str:
@@ -137,7 +139,7 @@ def _type(schema: dict[str, Any]) -> str:
 
 
 def _short(name: str) -> str:
-    """`services__gateway__routes__access__KeyView` -> `access KeyView`, as FastAPI tells two models of one name apart."""
+    """Shorten what FastAPI calls one of two models of one name: `…__routes__access__KeyView` -> `AccessKeyView`."""
     parts = name.split("__")
     return f"{parts[-2].capitalize()}{parts[-1]}" if len(parts) > 1 else name
 
@@ -147,7 +149,7 @@ def _scopes(operation: dict[str, Any]) -> str:
 
 
 def _anchor(method: str, path: str) -> str:
-    return "-".join([method, *path.replace("{", "").replace("}", "").replace(".", "-").strip("/").split("/")]).strip("-")
+    return "-".join([method, *re.findall(r"[\w-]+", path)])
 
 
 def _cell(text: str) -> str:

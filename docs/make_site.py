@@ -1,4 +1,4 @@
-"""Gather the pages of the documentation site in build/docs: `python docs/make_site.py`, then `zensical build` or `serve`.
+"""Gather the pages of the documentation site in build/docs: `python docs/make_site.py`, then `zensical build`.
 
 Pages lie where their readers on a code host look for them: docs/, deploy/, clients/, tests/bench/. They are copied into
 one folder, and their relative links are rewritten to where their targets lie there. A link to a file of the repository

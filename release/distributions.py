@@ -12,7 +12,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 PRODUCT = "capture2vr"
-_NOT_FOR_USERS = {"dev", "bench"}
+_NOT_FOR_USERS = {"dev", "bench", "docs"}
 """Extras for whoever works on the product."""
 
 

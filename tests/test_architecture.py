@@ -104,8 +104,9 @@ def test_no_folder_of_protos_is_a_package() -> None:
     assert list((ROOT / "proto").rglob("__init__.py")) == []
 
 
-def test_every_command_that_the_readme_names_exists() -> None:
-    named = set(re.findall(r"capture2vr (\w+)", (ROOT / "README.md").read_text()))
+def test_every_command_that_readme_and_first_steps_name_exists() -> None:
+    pages = (ROOT / "README.md", ROOT / "docs" / "start.md")
+    named = {name for page in pages for name in re.findall(r"(?:/|`)capture2vr (\w+)", page.read_text())}
     commands = {command.callback.__name__ for command in app.registered_commands if command.callback}
     commands |= {group.name for group in app.registered_groups}
     assert named - commands == set()

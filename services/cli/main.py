@@ -339,7 +339,7 @@ def name(
     label: Annotated[str | None, typer.Option(help="A name for people; empty: the key.")] = None,
     description: Annotated[str | None, typer.Option(help="Some lines about the asset; empty: none.")] = None,
     tag: Tags = None,
-    no_tags: Annotated[bool, typer.Option("--no-tags", help="Take all search words away.")] = False,
+    no_tags: Annotated[bool, typer.Option("--no-tags", help="Remove all tags.")] = False,
     gateway: Gateway = DEFAULT_GATEWAY,
 ) -> None:
     """Change what people call an asset. What is not named stays; the tags that are named replace those it has."""

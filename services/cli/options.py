@@ -28,13 +28,13 @@ Open = Annotated[
 ]
 Tags = Annotated[
     list[str] | None,
-    typer.Option("--tag", help="A search word of the asset, such as summer; may be repeated."),
+    typer.Option("--tag", help="A tag of the asset, such as summer; may be repeated."),
 ]
 Box = Annotated[
     str,
     typer.Option(
-        help="Rectangle around the thing in a single photo: left,top,right,bottom as shares of the upright photo's "
-        "width and height, such as 0.2,0.1,0.8,0.95. Default: what stands out, else the largest thing near the middle."
+        help="Rectangle around the object in a single photo: left,top,right,bottom as shares of the upright photo's "
+        "width and height, such as 0.2,0.1,0.8,0.95. Default: what stands out, else the largest object near the middle."
     ),
 ]
 

@@ -1,4 +1,4 @@
-"""`capture2vr name`: change an asset's label, description and search words."""
+"""`capture2vr name`: change an asset's label, description and tags."""
 
 from __future__ import annotations
 

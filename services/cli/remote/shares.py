@@ -8,7 +8,7 @@ import typer
 
 from capture2vr.cli.options import DEFAULT_GATEWAY, Gateway
 
-app = typer.Typer(help="Create, list and revoke links that open a thing without a login.", no_args_is_help=True)
+app = typer.Typer(help="Create, list and revoke links that open an asset without a login.", no_args_is_help=True)
 
 IsCollection = Annotated[bool, typer.Option("--collection", help="NAME is a collection.")]
 
