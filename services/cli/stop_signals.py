@@ -13,7 +13,7 @@ def stop_signals() -> tuple[signal.Signals, ...]:
 
 
 def exit_on_signals() -> None:
-    """Let SIGTERM and the terminal's end leave every `with` in order, as Ctrl-C does.
+    """Handle SIGTERM and SIGHUP like Ctrl-C, so that every `with` block is left and cleaned up.
 
     Else the temporary copy of a capture would stay behind, or services would go on without their command.
     """

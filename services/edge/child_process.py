@@ -125,7 +125,7 @@ def set_up_child() -> ReportFraction:
 
 
 def die_with_parent() -> BinaryIO:
-    """Have this process die with its parent and write no core dump; return what was its standard output.
+    """Make this process exit when its parent dies and write no core dump; return what was its standard output.
 
     What is printed from now on goes to standard error.
     """

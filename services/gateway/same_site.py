@@ -87,7 +87,7 @@ def _authority(origin: str) -> str:
 
 
 def _is_nobodys(name: str) -> bool:
-    """Whether no site of the internet can have this name: an address, a name without a dot, a local one."""
+    """Return whether a host is local (an IP address, a name without a dot, .local), so that no web site can own it."""
     if "." not in name or name.endswith(_LOCAL_SUFFIXES):
         return True
     try:

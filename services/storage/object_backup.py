@@ -49,7 +49,7 @@ class StoredObject:
 
     @property
     def changes(self) -> bool:
-        """Whether the object is rewritten in the course of things, as catalogues are."""
+        """Return whether the object is mutable, like a catalogue, rather than named by its hash."""
         return _changes(self.name)
 
 
@@ -209,7 +209,7 @@ def _sha256_on_store(store: Store, head: Head) -> str:
 
 
 def _may_be_same(etag: str, wanted: StoredObject) -> bool:
-    """Whether nothing speaks against an object's being the one of the inventory.
+    """Compare an object's etag with the inventory; return False where that proves a change.
 
     Etags are compared where both are of one kind: sha256 of a local store, md5 of S3. One of S3 with a "-" depends on
     the sizes of the parts in which the object was uploaded.

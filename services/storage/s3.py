@@ -79,7 +79,7 @@ class S3Store:
             self._client.put_bucket_policy(Bucket=self._bucket, Policy=policy)
 
     def let_pages_read(self) -> None:
-        """Let browsers hand objects to pages of any origin (CORS), where they may read the objects at all."""
+        """Set the bucket's CORS rules: pages of any origin may GET objects that they are allowed to read."""
         rule = {
             "AllowedOrigins": ["*"],
             "AllowedMethods": ["GET", "HEAD"],

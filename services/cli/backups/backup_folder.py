@@ -121,7 +121,7 @@ def read_or_warn(folder: Path, name: str) -> tuple[Manifest, list[StoredObject]]
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Keep a second backup out of the folder, which is made where there is none. Raises BadInput, OSError."""
+    """Lock the backup folder against a second backup; create it if it is missing. Raises BadInput, OSError."""
     for each in (folder, folder / "objects", folder / "backups"):
         each.mkdir(mode=0o700, parents=True, exist_ok=True)
     with (folder / "lock").open("a") as lock:

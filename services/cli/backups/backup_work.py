@@ -238,7 +238,7 @@ def _export(url: str, out: Path) -> Exported:
 
 @contextmanager
 def _nobody_in(settings: GatewaySettings) -> Iterator[None]:
-    """Keep gateways out of the data folder. Raises BadInput where there is one."""
+    """Lock the data folder against gateways. Raises BadInput if one is running."""
     try:
         with lock_instance(settings.data_dir):
             yield

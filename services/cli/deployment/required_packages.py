@@ -52,5 +52,5 @@ def required_packages(distribution: str, extra: str) -> list[RequiredPackage]:
 
 
 def _is_of(extra: str, marker: Marker | None) -> bool:
-    """Whether a requirement stands on this machine with the extra, and only with it."""
+    """Return whether a requirement applies on this machine because of this extra alone."""
     return marker is not None and marker.evaluate({"extra": extra}) and not marker.evaluate({"extra": ""})

@@ -72,7 +72,7 @@ def _homography(first: PhotoView, second: PhotoView, xyz: Floats) -> list[tuple[
 
 
 def _off_rotation(homography: Floats, size: tuple[int, int], focal: float) -> float:
-    """Return how far a homography is from the rotation of a camera of this focal length, in longer sides."""
+    """Compare a homography with a pure camera rotation: return their distance, as a share of the longer side."""
     width, height = size
     f = focal * max(size)
     camera = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])

@@ -181,7 +181,7 @@ def _problem(
 
 
 def _are_posed(photos: Sequence[Photo]) -> bool:
-    """Whether every photo came with its pose and intrinsics: only then are the poses used."""
+    """Return whether every photo has a pose and intrinsics, without which given poses are not used."""
     return all(photo.camera_to_world is not None and photo.intrinsics is not None for photo in photos)
 
 

@@ -30,7 +30,7 @@ class Adam:
 
     @torch.no_grad()
     def step(self) -> None:
-        """Do one step. Parameters without a gradient stay as they are."""
+        """Update the parameters by one optimizer step. Parameters without a gradient are not changed."""
         state = zip(self._parameters, self._means, self._squares, self._steps, strict=True)
         moved = [(each, each.grad, *moments) for each, *moments in state if each.grad is not None]
         parameters, gradients, means, squares, steps = map(list, zip(*moved, strict=True))

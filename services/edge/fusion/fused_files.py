@@ -53,7 +53,7 @@ class FusedFiles:
         return self._placed(records), rgb, np.ascontiguousarray(records["confidence"])
 
     def whole(self) -> CloudParts:
-        """All points; the folder lives as long as this does."""
+        """Return all fused points, read from disk in parts. The temporary folder is kept as long as they are in use."""
         return CloudParts(self.count, self._clouds)
 
     def _clouds(self) -> Iterator[Cloud]:

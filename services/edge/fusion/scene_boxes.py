@@ -26,7 +26,7 @@ class SceneBox:
 
     @classmethod
     def around(cls, places: Floats, voxel: float) -> SceneBox:
-        """All of space, with the cells that places (N,3) in metres occupy."""
+        """Create the box to split: all of space, with the cells that contain the points (N,3), in metres."""
         cells = np.unique(np.floor(places / (CELL * voxel)).astype(np.int32), axis=0)
         return cls(np.full(3, -np.inf), np.full(3, np.inf), cells)
 

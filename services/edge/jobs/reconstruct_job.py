@@ -143,7 +143,7 @@ class Reconstructor:
         return _with_validating(finished, seconds)
 
     def _may_tile(self, preset: str) -> bool:
-        """Whether a preset uses all points of a large scene, which are many to send; central's own ones may."""
+        """Return whether a preset may make tiles, for which the central worker needs all points of a large scene."""
         known = self._presets.get(preset)
         return known is None or known.tiled or preset == AUTOMATIC
 

@@ -95,7 +95,7 @@ def _best_pairing(crossings: Crossings, edges: Ints, members: int) -> Ints:
 
 
 def _bend(crossings: Crossings, a: Ints, b: Ints) -> Floats:
-    """How badly two crossings fit on one smooth line: 0 in a plane, 2 at a right angle."""
+    """Measure how sharply the surface bends between two crossings: 0 in a plane, 2 at a right angle."""
     line = crossings.xyz[b] - crossings.xyz[a]
     line /= np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-12)
     n, m = crossings.normal[a], crossings.normal[b]

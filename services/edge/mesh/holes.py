@@ -24,7 +24,8 @@ from capture2vr.edge.mesh.nouns import Mesh
 # other, the ear that joins them leans back too, but stands off the faces by more than this.
 STANDS_OFF = float(np.cos(np.radians(35)))
 MOST_CORNERS = 200  # of a slit, which take 0.1 s: a longer loop is wider than a slit, or something else
-BLUNTEST = float(np.cos(np.radians(150)))  # an ear opens by less: the saw-teeth of a straight border stay as they are
+# Ears (triangles between two neighbouring border edges) with a wider angle are not closed: else saw-teeth would be.
+BLUNTEST = float(np.cos(np.radians(150)))
 
 
 Vector = Sequence[float]
@@ -194,7 +195,7 @@ def _zip(xyz: Floats, normals: Floats, inward: Floats, chord: Floats, loop: Ints
 
 
 def _may_close(a: Vector, v: Vector, b: Vector, normal: Vector, inward: Vector) -> bool:
-    """Whether the ear a-v-b is sharp, and lies in a gap of the surface rather than on the faces beside it."""
+    """Return whether to close the border corner a-v-b by a triangle: it is sharp, and fills a gap in the surface."""
     ax, ay, az = a[0] - v[0], a[1] - v[1], a[2] - v[2]
     bx, by, bz = b[0] - v[0], b[1] - v[1], b[2] - v[2]
     if ax * bx + ay * by + az * bz < BLUNTEST * math.hypot(ax, ay, az) * math.hypot(bx, by, bz):

@@ -85,7 +85,7 @@ def _way_m(poses: Floats) -> Floats:
 
 
 def _allowed_drift(way: Floats) -> Floats:
-    """How far key frames may be off as seen from others, in metres, by the way (...) between them."""
+    """Return the plausible drift between key frames, in metres, by the length (...) of the path between them."""
     return _DRIFT_M + _DRIFT_SHARE * way
 
 
@@ -127,7 +127,7 @@ def _align_pair(keys: Sequence[PackedLevel], old: int, new: int, guess: Floats, 
 
 
 def _is_loop(fit: IcpFit, guess: Floats, allowed_m: float) -> bool:
-    """Whether an alignment is reliable, and as near to what the poses say as the drift allows."""
+    """Return whether an alignment closes a loop: it is reliable, and its correction is within the plausible drift."""
     off_m = float(np.linalg.norm(fit.pose[:3, 3] - guess[:3, 3]))
     return fit.sound and fit.agreement > _AGREEMENT and off_m < allowed_m
 

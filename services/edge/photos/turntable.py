@@ -206,7 +206,7 @@ class _Background:
 
     @classmethod
     def of(cls, pictures: Sequence[_SmallPhoto]) -> _Background:
-        """Take each pixel from the photo that agrees with most others: a moving object is rarely the same twice."""
+        """Estimate the still background: take each pixel from the photo that agrees with most others."""
         votes = np.zeros((len(pictures), *pictures[0].grey.shape), np.int16)
         for one, other in combinations(range(len(pictures)), 2):
             alike = _same_mask(pictures[one], pictures[other])

@@ -112,7 +112,7 @@ def plane_source(normal: Floats, up: Floats) -> UpSource:
 
 
 def level_with(normal: Floats, up: Floats, source: UpSource | None) -> tuple[Floats, UpSource | None]:
-    """Return the supporting plane's normal (3,) as up where it is nearly that, and where nothing surer contradicts it.
+    """Choose the up direction (3,): the supporting plane's normal, if it agrees with a surer estimate of up.
 
     up (3,): as known so far, from `source`.
     """

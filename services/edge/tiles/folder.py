@@ -47,7 +47,7 @@ class SceneFolder:
     root: Path
 
     def begin(self, scene: Mapping[str, Any]) -> None:
-        """Keep what an earlier run has finished of the same scene, as JSON; remove what it made of another one."""
+        """Prepare the folder: keep the tiles that an earlier run finished of this scene, delete those of others."""
         path = self.root / _SCENE
         if not (path.exists() and json.loads(path.read_text()) == json.loads(json.dumps(scene))):
             shutil.rmtree(self.root, ignore_errors=True)

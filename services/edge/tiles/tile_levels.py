@@ -140,8 +140,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def _drawable(mesh: Mesh, step_m: float) -> bool:
-    """Whether any triangle has an area once positions are rounded: a tile that a surface hardly reaches into may have a
-    single sliver."""
+    """Return whether any triangle still has an area after its positions were rounded; a sliver has none."""
     rounded = np.rint(mesh.vertices / step_m)
     return bool((face_normals(rounded, mesh.faces) != 0).any())
 
@@ -167,7 +166,7 @@ def _shared_border(grid: TileGrid, node: Node, mesh: Mesh) -> Bools:
 
 
 def _distance(fine: Mesh, coarse: Mesh) -> float:
-    """How far the vertices of a finer mesh lie from the planes of a coarser one's nearest places: a high quantile."""
+    """Return the simplification error: a high quantile of the distances from finer vertices to the coarser mesh."""
     if not len(coarse.faces):
         return 0.0
     surface = sample(coarse, _SAMPLES, np.random.default_rng(0))

@@ -36,7 +36,7 @@ class Capabilities:
         return tuple(preset.name for preset in self.presets)
 
     def has(self, preset: str) -> bool:
-        """Whether the preset is on offer."""
+        """Return whether this worker offers the preset."""
         return preset in self.names
 
     def trains(self, preset: str) -> bool:

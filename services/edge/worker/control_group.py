@@ -31,7 +31,7 @@ class ControlGroup:
 
     @property
     def oom_kills(self) -> int:
-        """How many processes of the group the kernel has killed for want of memory; 0 where it does not tell."""
+        """Count the processes of this control group that the kernel's OOM killer has killed; 0 if unknown."""
         return _oom_kills(self.folders[0]) if self.folders else 0
 
 

@@ -162,7 +162,7 @@ class JobRun:
             self.log.add(update)
 
     def _is_redundant(self, progress: pb.Progress) -> bool:
-        """Whether a report repeats the last one, as work does that only waits, or comes too soon after it."""
+        """Return whether to skip a progress report: it repeats the last one, or follows it too soon."""
         now = time.monotonic()
         if self._last is not None:
             last, reported_at = self._last

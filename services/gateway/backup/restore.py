@@ -50,7 +50,7 @@ class _Column:
     required: bool
 
     def takes(self, value: Any) -> bool:
-        """Whether the value is one that a gateway may have written."""
+        """Validate a value that was read from a damaged database: return whether a gateway can have written it."""
         if value is None:
             return not self.required
         if self.type != "JSON":

@@ -197,7 +197,7 @@ def _migrate(engine: Engine) -> None:
 
 
 def lock_schema(db: Connection) -> None:
-    """Keep other gateways from migrating until this transaction has ended. SQLite's one writer needs no lock."""
+    """Lock the schema against migrations by other gateways until the transaction ends. SQLite has one writer."""
     if db.dialect.name == "postgresql":
         db.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
 

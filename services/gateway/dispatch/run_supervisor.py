@@ -240,7 +240,7 @@ class RunSupervisor:
 
 
 def _end_run(reports: list[Report]) -> bool:
-    """Whether the run has ended and its worker takes other jobs: one that shuts down returns its jobs."""
+    """End the run; return whether its slot is free again. A worker that shuts down takes no more jobs."""
     last = reports[-1]
     return isinstance(last, RunFinished) or (isinstance(last, RunFailed) and last.code != DRAINING)
 

@@ -44,7 +44,7 @@ class AsyncJobStore:
 
     @property
     def is_full(self) -> bool:
-        """Whether a change was refused for want of space within the last minute, and none has been stored since."""
+        """Return whether the disk is full: a write failed within the last minute, and none has succeeded since."""
         return time.monotonic() < self._full_until
 
     async def read(self, what: Callable[Concatenate[JobStore, P], T], *args: P.args, **kwargs: P.kwargs) -> T:

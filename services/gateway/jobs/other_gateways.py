@@ -66,12 +66,12 @@ class OtherGateways:
             self._cancel(job)
 
     def _look_at_queue(self, job: str) -> None:
-        """Have the dispatcher look at the queue: nobody has found a slot for this job."""
+        """Wake the dispatcher: another gateway queued a job and found no free slot for it."""
         del self._queued[job]
         self._wake()
 
     def _on_connected(self) -> None:
-        """Have everybody look again: what was committed while nobody listened was not told."""
+        """Refresh everything after a reconnect: notifications sent while disconnected were lost."""
         self._job_store.notifier.notify_all()
         self._report_connected()
         self._wake()

@@ -362,7 +362,7 @@ class JobStore:
 
 
 def _lock_slot(db: Connection, slot: Slot) -> None:
-    """Keep other gateways off a worker until this transaction has ended. Raises SlotTaken. SQLite has one writer."""
+    """Lock a worker against other gateways until the transaction ends. Raises SlotTaken. SQLite has one writer."""
     if db.dialect.name == "postgresql":
         lock = sa.func.pg_try_advisory_xact_lock(_SLOTS_LOCK, sa.func.hashtext(slot.worker))
         if not db.execute(sa.select(lock)).scalar_one():

@@ -96,7 +96,7 @@ class SceneNews:
             self._move(scene, moves)
 
     def look_again(self) -> None:
-        """Have all listeners look at their scenes: what happened while nobody listened was not told."""
+        """Refresh all listeners after a reconnect: notifications sent while disconnected were lost."""
         for scene in tuple(self._listeners):
             self._change(scene)
 
