@@ -28,7 +28,7 @@ Tick = Callable[[float], None]
 
 
 def no_tick(fraction: float) -> None:
-    """Do nothing: the tick of a caller that neither shows progress nor cancels."""
+    """Ignore progress: the default `Tick` of a caller that neither shows progress nor cancels."""
 
 
 def part_of(tick: Tick, start: float, end: float) -> Tick:

@@ -222,7 +222,7 @@ def consistency(distance: DistanceFn, queries: Floats) -> float:
     axis. A gradient of length 0 counts as 1. Raises ValueError without queries.
     """
     if len(queries) == 0:
-        raise ValueError("the consistency of a field needs queries")
+        raise ValueError("queries is empty: the consistency of a field needs at least one")
     f, gradient = distance(queries)
     direction = _directions(gradient)
     _, at_pull = distance(queries - f[:, None] * direction)

@@ -46,7 +46,7 @@ class ClientCredentials:
     token: str = field(default="", repr=False)
 
     def channel(self, address: str, options: Options) -> grpc.Channel:
-        """Return a synchronous channel, for use from threads."""
+        """Open a synchronous gRPC channel, for use from threads."""
         if (credentials := self._credentials()) is None:
             return grpc.insecure_channel(address, options=options)
         return grpc.secure_channel(address, credentials, options=options)

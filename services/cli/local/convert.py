@@ -55,4 +55,4 @@ def _open(folder: Path) -> tuple[BundleFolder, str, frozenset[str]]:
             raise ValueError(key)
         return BundleFolder(folder, document, files), key, files | {str(document.get(SOURCE) or REPORT)}
     except (ValueError, KeyError, TypeError):
-        raise BadInput(f"{manifest} is damaged: run or pull again") from None
+        raise BadInput(f"{manifest} is damaged: not the JSON that run and pull write; run or pull again") from None

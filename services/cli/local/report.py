@@ -156,7 +156,7 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _is_refused(report: Mapping[str, Any]) -> bool:
-    """Return whether the refined surface was rejected as worse than the preview; never for methods of the literature."""
+    """Return whether the refined surface was rejected as worse than the preview; never of a literature method."""
     refused: bool = report["verdict"] == "worse" and report["state"] != "refined"
     return refused
 

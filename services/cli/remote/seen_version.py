@@ -56,7 +56,7 @@ def state_folder() -> Path:
 
 
 def user_folder(variable: str, below_home: str) -> Path:
-    """Return the folder capture2vr in the one that the variable names, else below the user's home folder.
+    """Return the user's folder for capture2vr: below an XDG variable's folder if set, else below the home folder.
 
     Raises OSError for a user without one, such as a container's that is given by number.
     """

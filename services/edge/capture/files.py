@@ -90,7 +90,7 @@ class Folder:
         return any(name.startswith(folder + "/") for name in self.names)
 
     def resolve(self, written: object, *, by: str, base: str = "") -> str:
-        """Return the normalised name of a path `written` in the file `by`, relative to the folder `base`.
+        """Resolve a relative path `written` in the file `by`, from the folder `base`: return its name in the capture.
 
         Raises CAPTURE_UNREADABLE for a path that leads out of the capture's folder.
         """

@@ -46,7 +46,7 @@ class CapturePoints:
         return ply_bytes(Mesh(self.xyz, nothing, self.rgb))
 
     def colmap_text(self) -> str:
-        """Lines of COLMAP's points3D.txt: id, position, colour, error, and no track."""
+        """Format the points as COLMAP's points3D.txt: id, position, colour and error per line, without tracks."""
         rgb = np.full((len(self.xyz), 3), _GREY, np.uint8) if self.rgb is None else self.rgb
         numbered = np.arange(1, len(self.xyz) + 1)
         rows = np.column_stack([numbered, self.xyz, rgb]).ravel().tolist()

@@ -43,7 +43,7 @@ class LocalEngine:
         waiting = _Waiting(task, _at_most(needs, self._room), pickle.dumps((work, inputs)))
         with self._lock:
             if self._closed:
-                raise EdgeError("ENGINE_LOST", "the local engine is closed", retryable=True)
+                raise EdgeError("ENGINE_LOST", "the local engine was closed; send the task again", retryable=True)
             self._waiting.append(waiting)
             self._start_what_fits()
         return task

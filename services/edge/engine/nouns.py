@@ -44,7 +44,7 @@ class Submitted(Generic[Result]):
     stop: Callable[[], None] = lambda: None
 
     def result(self, timeout_s: float | None = None) -> Result:
-        """Wait for the task's end and return its result.
+        """Block until the task has finished, and return its result.
 
         Raises what the task has raised; Cancelled; TimeoutError; EdgeError TASK_LOST where its process was killed each
         time, ENGINE_LOST where the engine itself is gone.

@@ -70,7 +70,7 @@ def curved_anchors(patches: Patches) -> Anchors:
 
 
 def surface_at(anchors: Anchors) -> tuple[Floats, Floats]:
-    """Return where each patch lies at its own point (N,3), and its unit normal there (N,3)."""
+    """Evaluate each patch at its own point: return the surface positions (N,3) and the unit normals (N,3) there."""
     height, slope_u, slope_v = base(anchors.terms, np.zeros((len(anchors.xyz), 2), np.float32))
     offset, along_u, along_v = (anchors.shape[:, :3] + np.stack([height, slope_u, slope_v], axis=1)).T[..., None]
     u, v, n = anchors.frame.transpose(1, 0, 2)

@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 def fingerprint(config: object, device: torch.device, *arrays: Floats | None) -> str:
-    """SHA-256 of everything that a fit's result depends on."""
+    """Hash (SHA-256) the inputs and settings of a fit, to tell whether a checkpoint belongs to it."""
     digest = hashlib.sha256(f"{VERSION} {config!r} {device.type} {torch.__version__}".encode())
     for array in arrays:
         digest.update(

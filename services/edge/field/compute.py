@@ -54,7 +54,7 @@ def nearest_in(points: Tensor) -> Nearest:
 
 
 def nearest(queries: Tensor, points: Tensor) -> Tensor:
-    """Index (M,) of the nearest point to each query, for points that change every step."""
+    """Find the nearest point of each query, for points that move every step: indices (M,)."""
     return nearest_in(points)(queries)
 
 
@@ -88,7 +88,7 @@ def _finite(xyz: Tensor) -> Floats:
 
 
 def nearest_by_blocks(queries: Tensor, points: Tensor, block_bytes: int = BLOCK_BYTES) -> Tensor:
-    """Index (M,) of the nearest point to each query, from all distances in blocks of points.
+    """Find the nearest point of each query by brute force, in blocks of points: indices (M,).
 
     The blocks' shapes depend only on the sizes of the input, as a captured CUDA graph needs it.
 

@@ -46,11 +46,11 @@ class VideoScan:
     late: bool = False
 
     def seconds(self, stamp: int) -> float:
-        """Convert a stamp to seconds since the first frame."""
+        """Convert a presentation timestamp to seconds since the first frame."""
         return float((stamp - self.index.stamps[0]) * self.stream.film.time_base)
 
     def run(self, tick: Tick) -> None:
-        """Decode the video and fill the fields; call it once."""
+        """Decode the video once and measure sharpness and motion of frames sampled at equal steps."""
         tracker, due, every = PathTracker(), 0.0, max(_SAMPLE_S, self._length_s() / _MAX_SAMPLES)
         for frame in self._decoded_frames():
             at = self.seconds(frame.pts)

@@ -79,7 +79,7 @@ def write_views(packed: zipfile.ZipFile, views: Sequence[EncodedView]) -> None:
 
 
 def view_files(count: int) -> set[str]:
-    """Names of the files of so many pictures."""
+    """Return the file names of `count` pictures in the archive of points."""
     return {name(number) for number in range(count) for name in (_picture_name, _depth_name)}
 
 

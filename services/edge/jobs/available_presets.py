@@ -28,7 +28,7 @@ def known_presets(folder: Path | None) -> Mapping[str, Preset]:
     if folder is None:
         return known
     if not folder.is_dir():
-        raise EdgeError("PRESET_INVALID", f"there is no folder {folder}")
+        raise EdgeError("PRESET_INVALID", f"there is no folder {folder}; create it, or correct EDGE_PRESETS")
     for path in sorted(folder.glob("*.toml")):
         if path.stem in known:
             raise EdgeError(

@@ -129,7 +129,7 @@ class NetworkConfig:
         if not any(getattr(self, name) for name in _WEIGHTS):
             raise ValueError(f"no loss has a weight above 0: {', '.join(_WEIGHTS)}")
         if not 0 <= self.neighbours <= LAYERS:
-            raise ValueError(f"neighbours = {self.neighbours}: {LAYERS} layers of kernel 3 reach at most {LAYERS}")
+            raise ValueError(f"neighbours = {self.neighbours}: {LAYERS} layers reach at most {LAYERS}; use fewer")
         if self.neighbours and self.certainty == "input":
             raise ValueError('neighbours and certainty = "input" cannot be combined')
 

@@ -118,7 +118,7 @@ class Batches:
         self._epoch, self._order = -1, torch.empty(0, dtype=torch.int64)
 
     def at(self, step: int) -> Tensor:
-        """Indices (size,) int64 into the pool, of one step's batch."""
+        """Draw the batch of a training step: indices (size,) int64 into the pool of queries."""
         epoch, part = divmod(step, self._count // self.size)
         if epoch != self._epoch:
             # Drawn on the CPU: within a captured CUDA graph a GPU's generator goes on from a seed of its own.

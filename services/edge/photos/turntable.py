@@ -87,7 +87,7 @@ def mask_background(photos: Sequence[Photo], tick: Tick = no_tick) -> tuple[Phot
 
 
 def thing_box(photos: Sequence[Photo]) -> CropBox:
-    """Return the bounding box of the masks of all photos, with a margin."""
+    """Compute the bounding box of the foreground masks of all photos, with a margin, to crop the photos."""
     seen = np.any([photo.mask for photo in photos if photo.mask is not None], axis=0)
     (top, bottom), (left, right) = (_span(seen.any(axis=axis)) for axis in (1, 0))
     return CropBox(left, top, right, bottom)

@@ -90,7 +90,7 @@ def from_walk(eyes: Floats, held: Floats) -> tuple[Floats, UpSource] | None:
 
 
 def from_floor(poses: Floats, held: Floats, xyz: Floats) -> tuple[Floats, UpSource] | None:
-    """Return the normal (3,) of a floor or table in the points (N,3) that is nearly level; None without one.
+    """Detect a nearly level floor or table in the points (N,3): return its normal (3,), or None.
 
     held (3,): up, as the cameras were held. Cameras that hardly turned leave open how far they looked down, so that a
     table may be farther from it, but only about their horizontal axis.

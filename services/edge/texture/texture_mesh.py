@@ -61,7 +61,7 @@ class Palette:
         return max(len(self.points), area / self.pixel**2 if self.pixel else 0.0)
 
     def light_at(self, places: Floats, normals: Floats, texel: float, tick: Tick = no_tick) -> Floats:
-        """Linear light (N,3) for texels of that size: from photos as far as they are reliable, else from points."""
+        """Sample linear colours (N,3) for texels of this size: from photos where reliable, else from the points."""
         light, sure = np.zeros((len(places), 3), np.float32), np.zeros(len(places), np.float32)
         if self.pictures is not None:
             light, sure = self.pictures(places, normals, texel, part_of(tick, 0, _PHOTO_SHARE))
@@ -100,7 +100,7 @@ def needs_texture(mesh: Mesh, palette: Palette) -> bool:
 
 
 def colour_gain(mesh: Mesh, points: ColouredPoints) -> float:
-    """Mean difference in sRGB bytes between the points' colours on a mesh and its interpolated vertex colours."""
+    """Measure what a texture would add: mean difference in sRGB codes between point and vertex colours."""
     assert mesh.rgb is not None
     face, weight = random_places(mesh, _PROBES)
     place = interpolate(mesh.vertices, mesh.faces[face], weight)

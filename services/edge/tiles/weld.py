@@ -43,7 +43,7 @@ class _Joined:
 
 
 def strip_of(mesh: Mesh, grid: TileGrid, tile: Tile) -> Mesh:
-    """Return the faces of a mesh in cells that lie in a tile or its strip."""
+    """Crop a mesh, in cells, to the faces that lie in a tile or in the overlap strip around it."""
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     return compact(mesh, np.flatnonzero(grid.within(middles, tile, STRIP)))
 

@@ -27,7 +27,7 @@ class CheckpointFiles:
         self._root = root
 
     def take(self, job: str, fence: int) -> Path:
-        """Return the checkpoint file of this lease; it exists where an earlier lease of the job left a checkpoint."""
+        """Take over the job's checkpoint file for this lease; it exists if an earlier lease left a checkpoint."""
         self._prune()
         folder = self._root / job
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -42,7 +42,7 @@ def snapshots_in(folder: Path) -> list[Path]:
 
 
 def check_file(database: Path) -> None:
-    """Have SQLite check a database's whole file. Raises DatabaseDamaged, OSError."""
+    """Run SQLite's integrity check on a database file. Raises DatabaseDamaged, OSError."""
     if not database.exists():
         raise FileNotFoundError(2, "No such file or directory", str(database))
     try:

@@ -27,7 +27,7 @@ class JobNotifier:
                 del self._listeners[job]
 
     def notify(self, job: str) -> None:
-        """Wake the job's listeners."""
+        """Wake the tasks that wait for news of the job, such as event streams."""
         for news in self._listeners.get(job, ()):
             news.set()
 

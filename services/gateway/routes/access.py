@@ -124,7 +124,7 @@ class KeyView(BaseModel):
 
     @classmethod
     def of(cls, key: ApiKey) -> KeyView:
-        """Convert a key."""
+        """Convert a stored access key to the API's answer, without its secret."""
         return cls(**_key_fields(key))
 
 

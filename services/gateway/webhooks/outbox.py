@@ -87,7 +87,7 @@ _ENABLED = sa.select(webhooks.c.id, webhooks.c.events).where(
 
 
 def new_messages(db: Connection, tenant: str, events: Sequence[Event]) -> list[dict[str, Any]]:
-    """Return the new rows of the outbox for a tenant's events: one for each of its webhooks that wants the event."""
+    """Create the outbox rows for a tenant's events: one message for each webhook that subscribes to the event."""
     enabled = db.execute(_ENABLED, {"of_tenant": tenant}).all() if events else []
     now = time.time()  # with a step between events that come together: they are sent in the order of their times
     return [

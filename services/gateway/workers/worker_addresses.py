@@ -50,7 +50,7 @@ class WorkerAddresses:
 
     @property
     def current(self) -> tuple[str, ...]:
-        """All addresses in the settings' order, none twice."""
+        """Return the resolved addresses of all workers, in the settings' order, without duplicates."""
         found: dict[str, str] = {}
         for named in self._named:
             for address in self._found.get(named, (named,)):

@@ -46,7 +46,7 @@ class Note:
 
     @classmethod
     def of(cls, stored: Mapping[str, Any]) -> Note:
-        """The note in a catalogue entry."""
+        """Parse a note from the JSON of a catalogue entry."""
         at, normal = stored["at"], stored["normal"]
         return cls(**{**stored, "at": triple(at), "normal": None if normal is None else triple(normal)})
 

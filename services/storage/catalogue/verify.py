@@ -70,7 +70,7 @@ def verify(
 
 
 def fetch_from(store: Store) -> Fetch:
-    """Return a `Fetch` that reads from a store."""
+    """Return a function that fetches catalogue files from a store, for `verify`."""
 
     def fetch(name: str) -> Iterator[bytes]:
         start = 0

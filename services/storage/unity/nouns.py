@@ -73,7 +73,7 @@ def _check_asset(asset: Asset) -> None:
         if not label:
             raise ValueError(f"asset {asset.key!r} has an empty label")
     if not asset.files:
-        raise ValueError(f"asset {asset.key!r} has no files")
+        raise ValueError(f"asset {asset.key!r} has no files; it needs a GLB for at least one level of detail")
     _check_once(asset, "label", asset.labels)
     _check_once(asset, "level", [file.level for file in asset.files])
     for file in asset.files:
