@@ -155,6 +155,6 @@ def test_the_wheel_starts_and_brings_the_licences_of_what_is_inside(released: Pa
     ended = subprocess.run(command, cwd=released, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert ended.stdout == f"{VERSION}\n", ended.stderr
     names = zipfile.ZipFile(wheel).namelist()
-    ours = {path.relative_to(ROOT).as_posix() for path in (ROOT / "services/web/vendor").glob("*.LICENSE")}
+    ours = {path.relative_to(ROOT).as_posix() for path in (ROOT / "capture2vr/web/vendor").glob("*.LICENSE")}
     assert ours <= set(names)
-    assert not [name for name in names if name.startswith(("release/", "tests/"))]
+    assert {name.partition("/")[0] for name in names} == {"capture2vr", f"capture2vr-{VERSION}.dist-info"}
