@@ -14,7 +14,7 @@ RUN if [ -n "$TORCH_INDEX" ]; then \
       { echo "PyTorch cannot be had from TORCH_INDEX=$TORCH_INDEX: name a mirror of it (docker compose: TORCH_CPU_INDEX), or" \
              "leave it empty for pip's own index, whose PyTorch brings 2.3 GB of CUDA" >&2; exit 1; }; \
     fi
-COPY services ./capture2vr
+COPY services ./services
 # Further extras, with a comma between them: --build-arg EXTRAS=ray for EDGE_ENGINE=ray://head:10001.
 ARG EXTRAS=
 RUN /venv/bin/pip install --no-cache-dir -c constraints.txt \

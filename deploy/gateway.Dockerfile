@@ -4,7 +4,7 @@ FROM python:3.11-slim AS build
 RUN apt-get update && apt-get install -y --no-install-recommends binutils && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
-COPY services ./capture2vr
+COPY services ./services
 RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir -c constraints.txt '.[gateway,storage,postgres,traces]'
 # In a folder of its own: what is checked is what was installed, not the sources.
 WORKDIR /slim

@@ -146,7 +146,7 @@ def test_the_command_line_does_not_either(strangers: Path, tmp_path: Path) -> No
 
 
 def test_the_stranger_is_heard_where_nothing_keeps_him_out(strangers: Path) -> None:
-    assert subprocess.run([sys.executable, "-m", "services"], capture_output=True).returncode != 0
+    assert subprocess.run([sys.executable, "-m", "capture2vr"], capture_output=True).returncode != 0
     assert that_ran(strangers)
 
 

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 import grpc
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
+from capture2vr import __version__
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api import edge_pb2_grpc
 from capture2vr.edge.api.grpc_client import KEEPALIVE, MESSAGE_LIMITS
@@ -29,7 +30,6 @@ from capture2vr.edge.worker.upload import first_header
 from capture2vr.process.grpc_security import ServerSecurity
 from capture2vr.process.strict_settings import SettingsError
 from capture2vr.process.traces import start_tracing
-from services import __version__
 
 _log = logging.getLogger(__name__)
 

@@ -92,7 +92,7 @@ def test_what_would_cost_much_is_refused_before(
 
 SCRIPTED = """
 import os, socket, sys
-from services import fork_server
+from capture2vr.process import fork_server
 from capture2vr.edge.jobs import inspection_work
 def inspect(folder, box):
     {costly}

@@ -25,7 +25,7 @@ CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
 # The server, with a check that does something else, and limits that are reached soon.
 SCRIPTED = """
 import errno, os, signal, socket, sys, time
-from services import fork_server
+from capture2vr.process import fork_server
 from capture2vr.gateway.uploads import check_work, process_limits
 def check_and_pack(order, begin):
     begin("a.ply")
@@ -154,7 +154,7 @@ async def test_a_server_that_was_killed_is_started_again(checks: Below, tmp_path
 
 WAITING = """
 import os, socket, sys, time
-from services import fork_server
+from capture2vr.process import fork_server
 def work(order, send):
     send({"begun": True})
     while not os.path.exists(order["until"]):
