@@ -74,7 +74,8 @@ def _row(group: str, method: str, path: str, operation: dict[str, Any]) -> str:
 def _route(method: str, path: str, operation: dict[str, Any]) -> str:
     lines = [f"## `{method.upper()} {path}` {{ #{_anchor(method, path)} }}", "", operation.get("description", ""), ""]
     if scopes := _scopes(operation):
-        lines += [f"Needs an access key with the scope {scopes}, once the gateway has keys.", ""]
+        word = "one of the scopes" if "," in scopes else "the scope"
+        lines += [f"Needs an access key with {word} {scopes}, once the gateway has keys.", ""]
     if parameters := operation.get("parameters"):
         lines += ["| parameter | in | type | meaning |", "|---|---|---|---|"]
         lines += [_parameter(each) for each in parameters] + [""]
