@@ -17,7 +17,7 @@ PAGES = (
     *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md"))),
 )
 TEXTS: tuple[str, ...] = ()
-"""Files of the web pages' texts (JSON) that keep the glossary too."""
+"""Files of the web pages' English texts that keep to the glossary too."""
 _ROW = re.compile(r"^\| \*\*.*\| (?P<meaning>.*) \| (?P<forbidden>[^|]*?) ?\|$", re.MULTILINE)
 # Code, what a page calls its own buttons, links' targets, and the glossary's own rows are not prose.
 _NO_PROSE = re.compile(
