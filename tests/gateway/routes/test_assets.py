@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+import pytest_asyncio
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,6 +23,9 @@ from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import IMMUTABLE, Store
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import answering
+
+# One gateway answers most tests of the module, so they share its event loop.
+pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
 def client(tmp_path: Path, store: Store, **settings: Any) -> AbstractAsyncContextManager[httpx.AsyncClient]:
@@ -39,9 +43,9 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> LocalStore:
     return store
 
 
-@pytest.fixture
-async def gateway(tmp_path: Path, local: LocalStore) -> AsyncIterator[httpx.AsyncClient]:
-    async with client(tmp_path, local) as gateway:
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def gateway(tmp_path_factory: pytest.TempPathFactory, local: LocalStore) -> AsyncIterator[httpx.AsyncClient]:
+    async with client(tmp_path_factory.mktemp("gateway"), local) as gateway:
         yield gateway
 
 
@@ -119,7 +123,7 @@ async def test_assets_are_listed_in_pages(tmp_path: Path) -> None:
 
 
 async def test_the_qr_code_is_that_of_the_viewer(gateway: httpx.AsyncClient, tmp_path: Path, local: LocalStore) -> None:
-    async with client(tmp_path / "there", local, public_url="https://scan.example") as there:
+    async with client(tmp_path, local, public_url="https://scan.example") as there:
         mine, public = [await each.get("/v1/assets/dress/qr.svg") for each in (gateway, there)]
     assert mine.headers["content-type"] == "image/svg+xml"
     assert b"<svg" in mine.content
