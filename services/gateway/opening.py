@@ -88,15 +88,12 @@ def open_gateway(equipment: Equipment, holder: str, stack: AsyncExitStack) -> Ga
     holder  its id in the lease table
     """
     ground = _open_ground(equipment, stack)
-    settings, store = equipment.settings, equipment.store
-    captures = _open_captures(ground, stack)
-    webhooks = _webhooks(ground)
-    reads = SceneReads(store)
+    captures, webhooks = _open_captures(ground, stack), _webhooks(ground)
     return Gateway(
-        settings=settings,
-        store=store,
+        settings=equipment.settings,
+        store=equipment.store,
         keys=equipment.keys,
-        load_rows=tenant_rows(store),
+        load_rows=tenant_rows(equipment.store),
         metrics=ground.metrics,
         workers=ground.workers,
         job_store=ground.job_store,
@@ -104,10 +101,10 @@ def open_gateway(equipment: Equipment, holder: str, stack: AsyncExitStack) -> Ga
         downloads=_open_downloads(ground, stack),
         access=ground.access,
         captures=captures,
-        scenes=SceneParts(reads, SceneNews(ground.engine, reads, ground.access.readers)),
+        scenes=_scenes(ground),
         webhooks=webhooks,
         records=RecordParts(ground.audit, _tenant_data(ground, captures, webhooks)),
-        upkeep=_upkeep(settings, store),
+        upkeep=_upkeep(equipment),
     )
 
 
@@ -169,6 +166,11 @@ def _open_downloads(ground: _Ground, stack: AsyncExitStack) -> Downloads:
     return downloads
 
 
+def _scenes(ground: _Ground) -> SceneParts:
+    reads = SceneReads(ground.equipment.store)
+    return SceneParts(reads, SceneNews(ground.engine, reads, ground.access.readers))
+
+
 def _webhooks(ground: _Ground) -> WebhookParts:
     outbox, sender = Outbox(ground.engine), Sender(allow_private=ground.equipment.settings.webhook_private)
     deliveries = Deliveries(outbox, sender, ground.metrics.observe_webhook)
@@ -203,7 +205,8 @@ def _dispatcher(ground: _Ground, holder: str) -> Dispatcher:
     return Dispatcher(dependencies, holder=holder, lease_s=settings.lease_s)
 
 
-def _upkeep(settings: GatewaySettings, store: Store) -> UpkeepParts:
+def _upkeep(equipment: Equipment) -> UpkeepParts:
+    settings, store = equipment.settings, equipment.store
     # A store that is no folder checks its disks itself.
     days = settings.scrub_days if isinstance(store, LocalStore) else 0.0
     scrub = Scrub(store, settings.data_dir / "scrub.json", days)

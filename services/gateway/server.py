@@ -44,9 +44,7 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
     try:
         start_tracing("capture2vr-gateway")
         app = create_app(settings, store, keys)
-        with lock_folder(settings):
-            refuse_without_keys(settings)
-        listening = _listen(settings)
+        listening = _listen_with_keys(settings)
     # ImportError: the database's driver is not installed
     except (FolderInUse, OSError, SQLAlchemyError, ImportError, SettingsError) as error:
         _log.error("cannot start: %s", error)
@@ -55,11 +53,15 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
         _announce(settings, listening.getsockname()[1])
         if not keys.verification_keys:
             _log.warning("signatures of collections are not checked: set STORAGE_SIGNING_KEY or STORAGE_TRUSTED_KEYS")
-        server = uvicorn.Server(server_config(app, settings))
-        # uvicorn raises the signal that stopped it again at the end; ignored, because a requested stop is no failure.
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: None)
-        server.run(sockets=[listening])
+        return _run(uvicorn.Server(server_config(app, settings)), listening)
+
+
+def _run(server: uvicorn.Server, listening: socket.socket) -> int:
+    """Run the server until a signal stops it, and return the exit status."""
+    # uvicorn raises the signal that stopped it again at the end; ignored, because a requested stop is no failure.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: None)
+    server.run(sockets=[listening])
     return 0 if server.started else 1
 
 
@@ -101,6 +103,13 @@ def refuse_without_keys(settings: GatewaySettings) -> None:
             )
     finally:
         engine.dispose()
+
+
+def _listen_with_keys(settings: GatewaySettings) -> socket.socket:
+    """Check who would be let in, and open the listening socket. Raises FolderInUse, SettingsError, OSError."""
+    with lock_folder(settings):
+        refuse_without_keys(settings)
+    return _listen(settings)
 
 
 def _listen(settings: GatewaySettings) -> socket.socket:

@@ -77,7 +77,7 @@ class Machine:
         self.environment = {name: str(value) for name, value in {**own, **variables}.items()}
 
     def start(self, service: str) -> ServiceProcess:
-        return ServiceProcess(f"services.{service}", self.folder / f"{service}.log", **self.environment)
+        return ServiceProcess(f"capture2vr.{service}", self.folder / f"{service}.log", **self.environment)
 
     def run(self, *arguments: object) -> str:
         """What a command says, that succeeds."""

@@ -8,7 +8,7 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 from pydantic import BaseModel
 
 import capture2vr
@@ -102,11 +102,11 @@ async def get_queue(gateway: GatewayOf) -> QueueView:
 
 
 @router.get("/service", response_model=ServiceView, dependencies=[needs(Scope.OPERATE)])
-async def get_service(request: Request, gateway: GatewayOf) -> ServiceView:
+async def get_service(gateway: GatewayOf) -> ServiceView:
     """Get the state of queue, workers, stores and disks, and the jobs that failed last."""
     jobs, pool = gateway.job_store, gateway.workers
     checks, workers, counts, oldest, failures, disks = await asyncio.gather(
-        run_checks(request),
+        run_checks(gateway),
         pool.poll(),
         jobs.read(JobStore.count_by_state),
         jobs.read(JobStore.oldest_queued),
