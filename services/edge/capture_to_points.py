@@ -34,12 +34,13 @@ from capture2vr.edge.points.flatness import flatness_warning
 from capture2vr.edge.points.frame_faults import FrameFaults
 from capture2vr.edge.points.isolate import isolate_object
 from capture2vr.edge.points.lasso import require_photos
-from capture2vr.edge.points.nouns import Cut, CutReport, Points, TextureView
+from capture2vr.edge.points.nouns import CutReport, Points, TextureView
 from capture2vr.edge.points.outliers import inliers
 from capture2vr.edge.points.scale import scale_to_longest
 from capture2vr.edge.points.upright import find_up
 from capture2vr.edge.progress import Bar, Clock, Progress
-from capture2vr.order.edits import NO_EDITS, Edits
+from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
+from capture2vr.order.option_table import Cut
 from capture2vr.order.photo_box import PhotoBox
 
 # Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
@@ -89,21 +90,19 @@ def preview_share(kind: CaptureKind) -> float:
 def prepare(
     capture: Capture,
     bar: Bar,
+    options: JobOptions = DEFAULT_OPTIONS,
     *,
     refines: bool,
     device: str = "cpu",
-    cut: Cut = "auto",
-    longest_m: float | None = None,
     hold_out: int | None = None,
-    box: PhotoBox | None = None,
-    edits: Edits = NO_EDITS,
 ) -> Generator[Progress, None, PreparedPoints]:
     """Make the points of a capture, and move `bar` to where fitting begins. Arguments and errors as of `reconstruct`.
 
+    options  of the job; here count its cut, longest_m, box and edits
     refines  whether a training may follow the preview
     """
-    require_single_photo(capture, box)
-    require_photos(capture, edits.lassos)
+    require_single_photo(capture, options.box)
+    require_photos(capture, options.edits.lassos)
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
     bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
@@ -115,10 +114,11 @@ def prepare(
             source = replace(source, verdicts=capture.verdicts)
     yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
-        points = _points(capture, cut, hold_out, box, edits.photos, bar)
-        points = scale_to_longest(points, longest_m) if longest_m else points  # it was measured before a cut
-        points = cut_away(points, edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
-        points = set_frame(points, edits)
+        points = _points(capture, options, hold_out, bar)
+        if options.longest_m:  # it was measured before anything was cut away
+            points = scale_to_longest(points, options.longest_m)
+        points = cut_away(points, options.edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
+        points = set_frame(points, options.edits)
         points = replace(
             points,
             texture_views=tuple(map(_at_texture_resolution, points.texture_views)),
@@ -145,13 +145,12 @@ def require_single_photo(capture: Capture, box: PhotoBox | None) -> None:
         )
 
 
-def _points(
-    capture: Capture, cut: Cut, hold_out: int | None, box: PhotoBox | None, drawn: frozenset[str], bar: Bar
-) -> Points:
+def _points(capture: Capture, options: JobOptions, hold_out: int | None, bar: Bar) -> Points:
     if capture.kind == "image":
         from capture2vr.edge.single_photo.to_points import to_points as guess_points  # loads torch
 
-        return guess_points(capture, box=box, tick=bar.tick("POINT_CLOUD"))
+        return guess_points(capture, box=options.box, tick=bar.tick("POINT_CLOUD"))
+    cut, drawn = options.cut or "auto", options.edits.photos
     return to_points(capture, cut=cut, hold_out=hold_out, drawn=drawn, tick=bar.tick("POINT_CLOUD"))
 
 

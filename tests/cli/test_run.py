@@ -17,6 +17,7 @@ from PIL import Image
 from capture2vr.cli.errors import BadInput
 from capture2vr.cli.local.run import RunOptions, _read_reference, run_capture, run_preset
 from capture2vr.edge.preset import Preset
+from capture2vr.order.job_options import JobOptions
 from tests.referees.glb_reader import Glb
 from tests.support.clouds import write_ply
 
@@ -119,9 +120,9 @@ def test_the_report_tells_how_far_the_reference_is(out: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"v 0 0 0\nv 1 0 0\n", b"\0" * 100])
 def test_a_reference_that_is_no_surface_is_refused_before_any_work(content: bytes, bowl: Path, tmp_path: Path) -> None:
     (tmp_path / "known.obj").write_bytes(content)
-    named = RunOptions(reference=tmp_path / "known.obj")
+    named = RunOptions(JobOptions("draft"), reference=tmp_path / "known.obj", resolution=RESOLUTION)
     with pytest.raises(BadInput, match=r"known\.obj"):
-        run_capture(bowl, tmp_path / "out", named, preset="draft", device="auto", resolution=RESOLUTION)
+        run_capture(bowl, tmp_path / "out", named)
     assert not (tmp_path / "out").exists()
 
 
@@ -148,7 +149,7 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
     archive = tmp_path / "upload.zip"
     with zipfile.ZipFile(archive, "w") as zipped:
         zipped.write(bowl, "top/bowl.ply")
-    run_capture(archive, tmp_path / "out", RunOptions(), preset="draft", device="auto", resolution=RESOLUTION)
+    run_capture(archive, tmp_path / "out", RunOptions(JobOptions("draft"), resolution=RESOLUTION))
     assert (tmp_path / "out" / "mesh.ply").read_bytes() == (out / "mesh.ply").read_bytes()
 
 
@@ -160,7 +161,7 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
     ["cloud_room/fragment.pcd", "rgbd_livingroom", "phone_tof", "dress/dress-v17k-f34k.obj", "car", "milktruck"],
 )
 def test_real_captures_become_assets(capture: str, data_dir: Path, tmp_path: Path) -> None:
-    run_preset(data_dir / capture, tmp_path / "out", COARSE, device="cpu")
+    run_preset(data_dir / capture, tmp_path / "out", COARSE, RunOptions(device="cpu"))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     quality = report["quality"]
     assert quality["non_manifold_edges"] <= 0.001 * 1.5 * quality["triangles"]

@@ -36,13 +36,11 @@ from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.engine.nouns import OpenEngine
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
-from capture2vr.edge.mesh.fill_gaps import Fill
+from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.mesh.nouns import Mesh
-from capture2vr.edge.points.nouns import Cut
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from capture2vr.order.asset_names import AssetNames
-from capture2vr.order.edits import NO_EDITS, Edits
-from capture2vr.order.photo_box import PhotoBox
+from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
 from capture2vr.process.archives import ArchiveError, is_zip, unpack
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
@@ -56,59 +54,42 @@ _READ_AS_IT_IS = (".r3d", ".usdz", ".3mf")
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """Options of a run besides the preset.
+    """Options of a run on this machine.
 
+    job        as of a job at a gateway
     key        asset key; "": made from the capture's name
-    collection name of the collection in the bundle's catalogue
-    cut        what to keep: the object without its surroundings, the scene, or what fits the capture
-    longest_m  metres between the farthest points of the object, or None
-    fill       which holes of the mesh are filled; None: by the kind of capture
-    target     device class whose budget the levels of detail must meet; "": none
     reference  a mesh of the same object to measure the result's error, or None
-    box        rectangle of a single photo that the thing lies in, or None
-    edits      recipe of what to cut away, what is up and the scale
+    device     device for training: cpu, cuda, cuda:1, or auto
+    resolution grid cells along the longest side; 0: as in the preset
     """
 
+    job: JobOptions = DEFAULT_OPTIONS
     key: str = ""
-    collection: str = DEFAULT_COLLECTION
-    cut: Cut = "auto"
-    longest_m: float | None = None
-    target: str = ""
     reference: Path | None = None
-    fill: Fill | None = None
-    box: PhotoBox | None = None
-    edits: Edits = NO_EDITS
+    device: str = "auto"
+    resolution: int = 0
 
 
 DEFAULTS = RunOptions()
 
 
 def run_capture(
-    source: Path,
-    out: Path,
-    options: RunOptions,
-    *,
-    preset: str,
-    device: str,
-    resolution: int,
-    engine: OpenEngine | None = None,
-    tick: Tick = no_tick,
+    source: Path, out: Path, options: RunOptions = DEFAULTS, *, engine: OpenEngine | None = None, tick: Tick = no_tick
 ) -> None:
-    """Reconstruct `source` into the folder `out`, with a preset by name. Raises BadInput.
+    """Reconstruct `source` into the folder `out`. Raises BadInput.
 
     engine  works at the tiles of a large scene; None: this process
     """
-    chosen = check_preset(preset)
-    chosen = replace(chosen, resolution=resolution or chosen.resolution)
-    run_preset(source, out, chosen, options, device=device, engine=engine, tick=tick)
+    run_preset(source, out, preset_of(options), options, engine=engine, tick=tick)
 
 
-def check_preset(name: str) -> Preset:
-    """Return the preset of this name. Raises BadInput where there is none."""
+def preset_of(options: RunOptions) -> Preset:
+    """Return the preset that the options name, or their recipe. Raises BadInput where there is none of the name."""
     try:
-        return load_preset(name)
+        preset = load_preset(options.job.completed().preset)
     except EdgeError as error:
         raise BadInput(sentence(error.message, hints=error.hints)) from error
+    return replace(preset, resolution=options.resolution or preset.resolution)
 
 
 def run_preset(
@@ -117,7 +98,6 @@ def run_preset(
     preset: Preset,
     options: RunOptions = DEFAULTS,
     *,
-    device: str = "auto",
     engine: OpenEngine | None = None,
     tick: Tick = no_tick,
 ) -> None:
@@ -128,15 +108,19 @@ def run_preset(
     """
     key = options.key or key_from(source)
     check_key(key)
-    check_collection(options.collection)
+    collection = options.job.collection or DEFAULT_COLLECTION
+    check_collection(collection)
     check_writable(out)
     check_place(out, source)
     reference = _read_reference(options.reference) if options.reference else None
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
-            results = Results(out, key, options.collection, reference, capture=source)
+            results = Results(out, key, collection, reference, capture=source)
             capture = open_source(source, Path(scratch))
-            _reconstruct_into(results, capture, preset, device, options, printable(source.stem), engine, tick)
+            job = replace(options.job, cut=options.job.cut or options.job.edits.cut or "auto", preset=preset.name)
+            job = replace(job.completed(), names=AssetNames(printable(source.stem)))
+            resources = JobResources(options.device, results.checkpoint, engine=engine)
+            _reconstruct_into(results, capture, preset, job, resources, tick)
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_error_sentence(error, source)) from error
 
@@ -214,22 +198,14 @@ def open_source(source: Path, scratch: Path) -> Path:
 
 
 def _reconstruct_into(
-    results: Results,
-    folder: Path,
-    preset: Preset,
-    device: str,
-    options: RunOptions,
-    label: str,
-    engine: OpenEngine | None,
-    tick: Tick,
+    results: Results, folder: Path, preset: Preset, job: JobOptions, resources: JobResources, tick: Tick
 ) -> None:
     from capture2vr.edge.pipeline import PreviewKept, reconstruct
     from capture2vr.edge.progress import Progress
     from capture2vr.edge.read_capture import read_capture
     from capture2vr.edge.tiles.folder import tiles_folder
 
-    target = target_of(options.target)
-    encode = _encoder(target)
+    encode = _encoder(target_of(job.target))
     with StageBar() as bar:
 
         def show(progress: Progress) -> None:
@@ -238,25 +214,8 @@ def _reconstruct_into(
 
         bar.show("VALIDATING", 0.0)
         capture = read_capture(folder)
-        device = _choose_device(preset, capture, device)
-        steps = reconstruct(
-            capture,
-            preset,
-            device=device,
-            checkpoint=results.checkpoint,
-            cut=options.cut,
-            longest_m=options.longest_m,
-            box=options.box,
-            edits=options.edits.completed(
-                cut=options.cut, fill=options.fill or "", preset=preset.name, target=options.target
-            ),
-            fill=options.fill,
-            names=AssetNames(label),
-            target=target,
-            encode=encode,
-            engine=engine,
-            watch=show,
-        )
+        resources = replace(resources, device=_choose_device(preset, capture, resources.device), encode=encode)
+        steps = reconstruct(capture, preset, job, resources, watch=show)
         for step in steps:
             match step:
                 case Bundle():

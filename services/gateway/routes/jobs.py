@@ -97,9 +97,9 @@ async def repeat_job(
         await _require_capture(body.capture or earlier.order.capture, request)
         order = body.order(earlier.order)
         _require_edits(order)
-        await _known_preset(order.preset, request)
+        await _known_preset(order.options.preset, request)
         names = await in_thread(lambda: _names_of(store_of(request), earlier.order))
-        return replace(order, label=names.label, description=names.description, labels=names.labels)
+        return replace(order, options=replace(order.options, names=names))
 
     content = f"{job} {body.model_dump_json()}"
     repeated = await _create_once(content, changed_order, request, idempotency_key)
@@ -288,7 +288,7 @@ async def _make_order(body: JobRequest, request: Request) -> Order:
 def _require_edits(order: Order) -> None:
     """Raises Problem EDITS_OTHER_CAPTURE for a recipe that was made for another capture."""
     try:
-        order.edits.require_capture(order.capture)
+        order.options.edits.require_capture(order.capture)
     except InvalidEdits as error:
         hints = ("the frame of another capture is another one: make the edits again", "or leave `capture` out of them")
         raise Problem(422, "EDITS_OTHER_CAPTURE", f"edits: {error}", hints=hints) from None
@@ -299,7 +299,7 @@ def _names_of(store: Store, order: Order) -> AssetNames:
     try:
         return read_entry(store, order.asset_key).names
     except (FileNotFoundError, CatalogueFault):
-        return AssetNames(order.label, order.description, order.labels)
+        return order.options.names
 
 
 async def _require_capture(capture: str, request: Request) -> None:
