@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from capture2vr.edge.arrays import Tick, no_tick, part_of, pick
-from capture2vr.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict
+from capture2vr.edge.capture.nouns import Capture, CaptureKind, Frame, PhotoVerdict
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.coverage import unseen_sides
 from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
@@ -179,31 +179,48 @@ def to_points(
         posed = with_poses(capture, lambda fraction: tick(_POSES * fraction))
         if posed is not capture:
             capture, tick = posed, partial(_second_part, tick)
-    share = 1.0 if cut == "scene" else 0.9
     if capture.kind == "points":
-        points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
-        kept = _ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is")
-        return isolate_object(replace(points, whole=None), tick=tick) if cut == "object" else replace(points, cut=kept)
-    cameras = tuple(frame.picture for frame in capture.frames if frame.picture)
-    drawn_in = tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn)
+        return _cloud_points(capture, voxel, cut, tick)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     faults = FrameFaults()  # what is compared at the end of a job must not end it
     held_out = tuple(frame for frame in held_out if faults.read_depth(frame) and faults.read_picture(frame) is not None)
-    in_parts = not has_stereo_depth(frames) and cut != "object"  # which is cut out of points in memory
-    fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
-    capture = replace(capture, frames=fused.frames)
-    points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
+    fused, points = _fused_points(capture, frames, voxel, cut, tick)
     points = replace(
         points,
         held_out_views=tuple(map(texture_view, held_out)),
-        cameras=cameras,
-        drawn_in=drawn_in,
-        warnings=(*points.warnings, *faults.warnings(len(capture.frames))),
+        cameras=tuple(frame.picture for frame in capture.frames if frame.picture),
+        drawn_in=tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn),
+        warnings=(*points.warnings, *faults.warnings(len(fused.frames))),
     )
-    points = _cut(points, capture, fused, cut, tick)
+    points = _cut(points, replace(capture, frames=fused.frames), fused, cut, tick)
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))
     return points
+
+
+def _cloud_points(capture: Capture, voxel: float | None, cut: Cut, tick: Tick) -> Points:
+    """Clean a cloud, which is taken as it is where no object is asked for."""
+    share = _share_to_cut(cut)
+    points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
+    if cut == "object":
+        return isolate_object(replace(points, whole=None), tick=tick)
+    return replace(points, cut=_ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is"))
+
+
+def _fused_points(
+    capture: Capture, frames: tuple[Frame, ...], voxel: float | None, cut: Cut, tick: Tick
+) -> tuple[FusedPoints, Points]:
+    """Fuse frames and clean their points; a large scene box by box, unless an object is cut out of it in memory."""
+    share = _share_to_cut(cut)
+    in_parts = not has_stereo_depth(frames) and cut != "object"
+    fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
+    seen = replace(capture, frames=fused.frames)
+    return fused, _rgbd_points(seen, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
+
+
+def _share_to_cut(cut: Cut) -> float:
+    """Share of the time to the points that passes before anything is cut out of them."""
+    return 1.0 if cut == "scene" else 0.9
 
 
 def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, tick: Tick) -> Points:

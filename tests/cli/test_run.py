@@ -15,7 +15,8 @@ import trimesh
 from PIL import Image
 
 from capture2vr.cli.errors import BadInput
-from capture2vr.cli.local.run import RunOptions, _read_reference, run_capture, run_preset
+from capture2vr.cli.local.reference_mesh import read_reference
+from capture2vr.cli.local.run import RunOptions, run_capture, run_preset
 from capture2vr.edge.preset import Preset
 from capture2vr.order.job_options import JobOptions
 from tests.referees.glb_reader import Glb
@@ -104,7 +105,7 @@ def test_the_report_tells_figures_seconds_and_warnings(out: Path) -> None:
 def test_a_reference_may_have_polygons_and_relative_indices(tmp_path: Path) -> None:
     squares = [f"v 0 0 {z}\nv 1 0 {z}\nv 1 1 {z}\nv 0 1 {z}\nf -4 -3 -2 -1\n" for z in (0, 5)]
     (tmp_path / "known.obj").write_text("mtllib gone.mtl\n" + "".join(squares))
-    mesh = _read_reference(tmp_path / "known.obj")
+    mesh = read_reference(tmp_path / "known.obj")
     assert [list(each) for each in mesh.vertices[mesh.faces][:, :, 2]] == [[0] * 3] * 2 + [[5] * 3] * 2
 
 

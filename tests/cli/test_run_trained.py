@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 
 from capture2vr.cli.errors import BadInput
-from capture2vr.cli.local.run import Results, RunOptions, run_preset
+from capture2vr.cli.local.results import Results
+from capture2vr.cli.local.run import RunOptions, run_preset
 from capture2vr.cli.local.run_many import run_captures
 from capture2vr.cli.remote.push import continue_capture, push_capture
 from capture2vr.edge.paper_field.network_config import NetworkConfig

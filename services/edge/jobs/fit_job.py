@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -101,11 +101,7 @@ class FieldFitter:
                         warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
                         # Only the preview tells how much memory the fit takes. A preview may come again after the fit.
                         if step.state == "preview" and not has_room:
-                            too_large = self._too_large(step.manifest)
-                            if too_large and request.options.preset != AUTOMATIC:
-                                raise too_large
-                            if not too_large:
-                                reserved.enter_context(self._reserve_memory(step.manifest, report))
+                            reserved.enter_context(self._make_room(step.manifest, request, report))
                             has_room = True
                     case PreviewKept():
                         warnings, computing = (*warnings, step.warning), step.seconds
@@ -162,6 +158,18 @@ class FieldFitter:
             refusal,
             hints=(f"use one of: {', '.join(small)}", "or a worker with a larger EDGE_MEMORY"),
         )
+
+    def _make_room(
+        self, manifest: Mapping[str, Json], request: ReconstructionRequest, report: Report
+    ) -> AbstractContextManager[None]:
+        """Reserve the memory of the fit after a preview; where it needs more than the whole budget, refuse a preset
+        that was named. The automatic one makes no fit then.
+        """
+        if (too_large := self._too_large(manifest)) is None:
+            return self._reserve_memory(manifest, report)
+        if request.options.preset != AUTOMATIC:
+            raise too_large
+        return nullcontext()
 
     def _reserve_memory(self, manifest: Mapping[str, Json], report: Report) -> AbstractContextManager[None]:
         """Reserve the memory of the fit after a preview, and wait until it is free."""
