@@ -175,10 +175,7 @@ def to_points(
     no object, CAPTURE_NO_POSES where frames without poses cannot be placed, CAPTURE_BAD_POSE where poses contradict
     their frames. `tick` may raise `Cancelled`.
     """
-    if capture.kind == "rgbd" and not has_stereo_depth(capture.frames):  # stereo depth was made with its poses
-        posed = with_poses(capture, lambda fraction: tick(_POSES * fraction))
-        if posed is not capture:
-            capture, tick = posed, partial(_second_part, tick)
+    capture, tick = _with_poses(capture, tick)
     if capture.kind == "points":
         return _cloud_points(capture, voxel, cut, tick)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
@@ -196,6 +193,14 @@ def to_points(
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))
     return points
+
+
+def _with_poses(capture: Capture, tick: Tick) -> tuple[Capture, Tick]:
+    """Compute the poses of frames that have none; return also the tick for the rest of the time to the points."""
+    if capture.kind != "rgbd" or has_stereo_depth(capture.frames):  # stereo depth was made with its poses
+        return capture, tick
+    posed = with_poses(capture, lambda fraction: tick(_POSES * fraction))
+    return (capture, tick) if posed is capture else (posed, partial(_second_part, tick))
 
 
 def _cloud_points(capture: Capture, voxel: float | None, cut: Cut, tick: Tick) -> Points:
