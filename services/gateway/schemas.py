@@ -36,7 +36,7 @@ Labels = Annotated[
     tuple[str, ...],
     Field(
         max_length=MOST_LABELS,
-        description="Search words of the asset, such as a season or a room; also labels in Unity's catalogues.",
+        description="Tags of the asset, such as a season or a room; also labels in Unity's catalogues.",
         examples=[["summer", "wardrobe"]],
     ),
     AfterValidator(check_labels),
@@ -99,8 +99,8 @@ class JobRequest(BaseModel):
     box: Annotated[
         list[float] | None,
         Field(
-            description="Rectangle around the thing in a single photo: left, top, right and bottom as shares of the "
-            "upright photo's width and height; null: what stands out, else the largest thing near the middle.",
+            description="Rectangle around the object in a single photo: left, top, right and bottom as shares of the "
+            "upright photo's width and height; null: what stands out, else the largest object near the middle.",
             examples=[[0.2, 0.1, 0.8, 0.95]],
         ),
     ] = None

@@ -54,7 +54,7 @@ _log = logging.getLogger(__name__)
     responses={
         200: {
             "description": "Server-sent events with JSON data: `scene` (a new version, all of it; its `id` is the "
-            "version), `moving` (where a thing is while somebody moves it; nothing of that is stored), `deleted`, "
+            "version), `moving` (where an object is while somebody moves it; nothing of that is stored), `deleted`, "
             "after which the stream ends, and `heartbeat`. It also ends once the reader may no longer read the scene",
             "content": {
                 "text/event-stream": {
@@ -94,7 +94,7 @@ async def follow_scene(
     responses=problems(404, 415, 422, 429, 503),
 )
 async def post_moving(scene: SceneId, body: Moves, request: Request) -> None:
-    """Tell those who follow a scene where things are while they are moved. Nothing is stored; ten times a second do."""
+    """Tell followers of an arrangement where objects are while they are moved. Nothing is stored; send ten a second."""
     thing = Thing(caller_of(request).tenant, "scene", scene)
     request.app.state.limits.spend_moves(thing.tenant, scene)
     await _read(thing, request)
