@@ -338,7 +338,7 @@ def server_config(app: FastAPI, settings: GatewaySettings) -> uvicorn.Config:
 
 
 def refuse_without_keys(settings: GatewaySettings) -> None:
-    """Raises SettingsError for a gateway that others could reach and nobody has to show a key to, unless that was told.
+    """Raises SettingsError for a gateway that other machines can reach without an access key, unless `open` is set.
 
     Opens the database, brings its schema up to date, and stores the operator's key of the settings.
     """

@@ -48,7 +48,7 @@ class Order:
 
     @property
     def as_json(self) -> dict[str, Any]:
-        """As the database and exports have it."""
+        """Serialise the order as JSON, for the database and exports."""
         return {**{name: getattr(self, name) for name in self.__slots__}, "edits": self.edits.as_json}
 
 

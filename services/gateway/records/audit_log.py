@@ -90,7 +90,7 @@ class AuditLog:
         self._thread = ThreadPoolExecutor(1, "audit")
 
     def connect(self, store: AuditStore) -> None:
-        """Use this store."""
+        """Connect the log to its store, into which rows are written from now on."""
         self._store = store
 
     def close(self) -> None:

@@ -91,7 +91,7 @@ class ScenePage(BaseModel):
     responses=problems(409, 415, 422, 503),
 )
 async def post_scene(body: SceneRequest, request: Request, response: Response) -> SceneView:
-    """Save a new scene."""
+    """Save a new arrangement."""
     store = store_of(request)
     try:
         scene = await in_thread(lambda: create_scene(store, body.name, body.items))
