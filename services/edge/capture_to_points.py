@@ -69,7 +69,7 @@ class CaptureSummary:
 
     @classmethod
     def of(cls, capture: Capture) -> CaptureSummary:
-        """Summarise a capture."""
+        """Summarise a capture: its kind, format and number of frames or points, for reports."""
         return cls(capture.kind, capture.format, len(capture.frames) or len(capture.photos), capture.verdicts)
 
 

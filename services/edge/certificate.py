@@ -69,7 +69,7 @@ class Evidence:
         return cls(xyz_unit, cKDTree(xyz_unit), held_out)
 
     def spacing_of(self, index: Ints) -> Floats:
-        """(M,) spacing around the input points with these indices; for all of a large cloud it would take too long."""
+        """Estimate the spacing (M,) around some input points; for all of a large cloud it would take too long."""
         return point_spacing(self.xyz[index], self.tree)
 
 
@@ -110,7 +110,7 @@ class Certificate:
     pieces: tuple[Piece, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """The figures for JSON, without the distances, which only `compare` needs."""
+        """Serialise the figures as JSON, without the distances, which only `compare` needs."""
         figures = asdict(self)
         del figures["distances"]
         return figures
@@ -230,7 +230,7 @@ def consistency(distance: DistanceFn, queries: Floats) -> float:
 
 
 def distance_to_mesh(xyz: Floats, mesh: Mesh) -> Floats:
-    """(N,) distance from each point (N,3) to the mesh: to the nearest of the triangles with the nearest centroids."""
+    """Distances (N,) from points (N,3) to the mesh: to the nearest of the triangles with the nearest centroids."""
     corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
     # Used once: this tree is quick to build, though a little slower to query.
     tree = cKDTree(corners.mean(axis=1), balanced_tree=False, compact_nodes=False)

@@ -15,8 +15,8 @@ BoxQuery = Annotated[
     str,
     Query(
         max_length=200,
-        description="Rectangle around the thing in a single photo: left,top,right,bottom as shares of the upright "
-        "photo's width and height; empty: what stands out, else the largest thing near the middle.",
+        description="Rectangle around the object in a single photo: left,top,right,bottom as shares of the upright "
+        "photo's width and height; empty: what stands out, else the largest object near the middle.",
         examples=["0.2,0.1,0.8,0.95"],
     ),
 ]

@@ -34,7 +34,7 @@ class SiteRules:
 
     @classmethod
     def of(cls, settings: GatewaySettings) -> SiteRules:
-        """Take the rules from the settings, with the public URL's host and this machine's own name."""
+        """Build the rules from the settings: allowed hosts, the public URL's host and this machine's name."""
         public = urlsplit(settings.public_url).hostname or ""
         hosts = {*(host.lower() for host in settings.allowed_hosts), public, socket.gethostname().lower()}
         return cls(hosts, settings.cors_origins)

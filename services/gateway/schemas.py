@@ -38,7 +38,7 @@ Labels = Annotated[
     tuple[str, ...],
     Field(
         max_length=MOST_LABELS,
-        description="Search words of the asset, such as a season or a room; also labels in Unity's catalogues.",
+        description="Tags of the asset, such as a season or a room; also labels in Unity's catalogues.",
         examples=[["summer", "wardrobe"]],
     ),
     AfterValidator(check_labels),

@@ -31,13 +31,13 @@ class AssetNames:
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> AssetNames:
-        """The names in a catalogue entry or a manifest; older ones have only a label."""
+        """Parse the names in a catalogue entry or a manifest; older ones have only a label."""
         labels = document.get("labels") or ()
         return cls(document.get("label") or "", document.get("description") or "", tuple(labels))
 
     @property
     def as_json(self) -> dict[str, Any]:
-        """As a catalogue entry and a manifest have them."""
+        """Serialise the names as JSON, for catalogue entries and manifests."""
         return {**asdict(self), "labels": list(self.labels)}
 
     def checked(self) -> AssetNames:

@@ -185,7 +185,7 @@ class Edits:
 
     @property
     def as_json(self) -> dict[str, Any]:
-        """As the manifest and the API have it: without what is left out."""
+        """Serialise the recipe as JSON, for manifests and the API, without empty parts."""
         document: dict[str, Any] = _EDITS.dump_python(self, mode="json", exclude_defaults=True)
         return {"schema": self.schema, **document}
 

@@ -44,7 +44,7 @@ class ForkServer:
             self._alive()
 
     def close(self) -> None:
-        """End the server, and all processes that it has started."""
+        """Terminate the fork server and all processes that it has started."""
         with self._lock:
             if self._server is not None:
                 self._server.close()

@@ -11,7 +11,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent(parent: int | None = None, *, by: signal.Signals = signal.SIGKILL) -> None:
-    """Have the kernel send this process a signal when its parent dies. Does nothing on other systems than Linux.
+    """Ask the kernel to signal this process when its parent dies; on systems other than Linux do nothing.
 
     parent  process number that the parent has; a process whose parent died before this call ends at once.
             None: the caller knows no number

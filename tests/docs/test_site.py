@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.docs.test_glossary import forbidden_in
 from tests.support.repository import ROOT
 
 sys.path.insert(0, str(ROOT / "docs"))  # the site's scripts are no package
@@ -29,6 +30,8 @@ def test_the_site_builds_strictly_and_loads_nothing_from_other_hosts(tmp_path: P
     pages = {page.relative_to(site).as_posix(): page.read_text() for page in site.rglob("*.html")}
     assert {"index.html", "capture/index.html", "runbook/index.html", "bench/index.html"} <= pages.keys()
     assert 'id="post-v1-jobs"' in pages["routes/jobs/index.html"]
+    routes = {page.name: page.read_text() for page in (tmp_path / "build" / "docs" / "routes").iterdir()}
+    assert {name: forbidden_in(text) for name, text in routes.items() if forbidden_in(text)} == {}
     for name, text in pages.items():
         assert re.findall(r"<(?:script|img|iframe)[^>]* src=\"?(?:https?:)?//[^\s>]*", text) == [], name
         assert re.findall(r"<link[^>]*rel=\"?(?:stylesheet|preconnect|preload)[^>]*//[^>]*", text) == [], name

@@ -100,7 +100,7 @@ class _Arm:
     end: Floats
 
     def radius(self, v: Floats) -> Floats:
-        """Radius of the sleeve in metres at the fraction v of its length."""
+        """Return the radius of the sleeve in metres at the fraction v of its length."""
         radius: Floats = 0.066 + 0.022 * v
         return radius
 

@@ -38,7 +38,7 @@ class RequiredPackage:
 
 
 def required_packages(distribution: str, extra: str) -> list[RequiredPackage]:
-    """What an extra adds to a distribution on this machine, and what the extras of these add, by name.
+    """List the packages that an extra requires on this machine, with what their extras require, by name.
 
     Raises PackageNotFoundError where the distribution itself is missing.
     """

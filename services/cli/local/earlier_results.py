@@ -37,7 +37,7 @@ def is_run(out: Path) -> bool:
 
 
 def folder_of_others(out: Path) -> Path | None:
-    """Return a folder in `out` that has the name of one of a run's and is not one; None where there is none."""
+    """Find a folder in `out` that a run would overwrite and that no run has made; None if all is clear."""
     # A run that was killed early leaves a store without a report.
     is_store = (out / BUNDLE / ".meta").is_dir()
     names = () if is_run(out) else (PREVIEW,) if is_store else (BUNDLE, PREVIEW)

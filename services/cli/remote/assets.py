@@ -36,7 +36,7 @@ class AssetSearch:
     max_mb: float | None = None
 
     def query(self) -> dict[str, str | int]:
-        """The parameters of the gateway's search. Raises BadInput for days and sizes that no clock and no store has."""
+        """Build the query of the gateway's search. Raises BadInput for days and sizes out of range."""
         try:
             return self._query()
         except (OverflowError, ValueError):

@@ -55,7 +55,7 @@ class _CollectionSource:
 
     @property
     def query(self) -> dict[str, str]:
-        """The query of requests: whose the collection is; none for one's own."""
+        """The query parameter `tenant` of requests; none for the caller's own collection."""
         return {"tenant": self.tenant} if self.tenant else {}
 
 

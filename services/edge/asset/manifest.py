@@ -58,7 +58,7 @@ def _turn_to_z(direction: Floats) -> Floats:
 
 
 def rotation_between(source: Floats, target: Floats) -> Floats:
-    """(3,3) a rotation that turns one unit vector to another, the smallest but for opposites (Rodrigues' formula)."""
+    """Compute the smallest rotation (3,3) from one unit vector to another (Rodrigues' formula)."""
     axis = np.cross(source, target)
     cosine = float(source @ target)
     if cosine < -1.0 + 1e-6:  # nearly opposite: half a turn about an axis across the target, then what is left
@@ -117,7 +117,7 @@ class MeasuredSurface:
 
     @property
     def mesh_unit(self) -> Mesh:
-        """The mesh, unit frame."""
+        """The mesh in the unit frame."""
         return self.surface.mesh
 
     def warnings(self) -> tuple[str, ...]:
@@ -208,6 +208,6 @@ def _unseen_sides(points: Points, to_asset: Floats) -> list[dict[str, Any]]:
 
 
 def anchors_m(points: Points, to_asset: Floats) -> tuple[Floats, Bytes]:
-    """A few points that a viewer shows until the mesh is there: (K,3) metres in the asset frame, (K,3) sRGB bytes."""
+    """Placeholder points for viewers that load the mesh: (K,3) metres in the asset frame, (K,3) sRGB bytes."""
     xyz, rgb = cluster_anchors(points.xyz, points.rgb)
     return (xyz @ to_asset[:3, :3].T + to_asset[:3, 3]).round(4), rgb

@@ -50,7 +50,7 @@ def read_e57(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[
 
 
 def e57_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:
-    """All scans of an E57 in parts; None where they have no more points than `read_e57` reads at once."""
+    """Read all scans of an E57 in parts; None where they have no more points than `read_e57` reads at once."""
     count = sum(_record_counts(path, file)) if find_spec("pye57") else 0
     if count <= LARGE:
         return None

@@ -37,7 +37,7 @@ def read_las(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[
 
 
 def las_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:
-    """The points of a LAS or LAZ in parts, in metres; None where it has no more than `read_las` reads at once.
+    """Read a LAS or LAZ file in parts, in metres; None where it has no more than `read_las` reads at once.
 
     A LAZ is decoded in a child process to the disk, as its decoder may abort. Errors as of `read_las`.
     """

@@ -85,7 +85,7 @@ class _Rows:
             self._pack()
 
     def array(self) -> Floats:
-        """All rows (N,C), C being the fewest numbers that a row has, and 6 at most."""
+        """Return all rows as an array (N,C); C is the fewest numbers that a row has, at most 6."""
         self._pack()
         width = min((each.shape[1] for each in self._arrays), default=self._least)
         return np.concatenate([np.zeros((0, width)), *(each[:, :width] for each in self._arrays)])
@@ -144,7 +144,7 @@ class _Reader:
                 self.libraries.append(_rest(line))
 
     def triangles(self, vertices: int, coordinates: int) -> tuple[Ints, Ints, Ints]:
-        """All triangles -> indices of vertices (F,3), of texture coordinates (F,3), -1: none, and of materials (F,)."""
+        """Triangulate: indices of vertices (F,3), of texture coordinates (F,3), -1: none, and of materials (F,)."""
         self._pack()
         empty = np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
         faces, uv_faces, material = (np.concatenate(parts) for parts in zip(empty, *self._parts, strict=True))
@@ -265,7 +265,7 @@ class _Colours:
 
     @property
     def there(self) -> bool:
-        """Whether anything has colours."""
+        """Whether any vertex, material or texture has colours."""
         return self._painted or any(each.texture or each.diffuse for each in self.materials)
 
     @property

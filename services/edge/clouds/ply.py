@@ -83,7 +83,7 @@ def read_ply(path: Path, file: str) -> tuple[Cloud, Ints, tuple[str, ...]]:
 
 
 def ply_parts(path: Path, file: str) -> RawParts | None:
-    """The vertices of a binary PLY without faces, in parts; None for another, or for one that `read_ply` reads at once.
+    """Read a binary PLY without faces in parts; None for others, and for what `read_ply` reads at once.
 
     Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
     """

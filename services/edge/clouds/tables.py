@@ -52,7 +52,7 @@ def read_npy(path: Path, file: str) -> Cloud:
 
 
 def npy_parts(path: Path, file: str) -> RawParts | None:
-    """The points of a .npy in parts, by the names of its fields or by its columns' values; None for other arrays."""
+    """Read a .npy in parts, by the names of its fields or its columns' values; None for other arrays."""
     array = npy_array(path, file)
     if len(array) <= LARGE or (array.dtype.fields is None and (array.ndim != 2 or array.shape[1] < 3)):
         return None
@@ -73,7 +73,7 @@ def npy_parts(path: Path, file: str) -> RawParts | None:
 
 
 def raw_columns(columns: dict[str, NDArray[Any]], file: str) -> RawPart:
-    """Coordinates, and colours as stored, of named columns of equal length."""
+    """Return coordinates and raw colours of named columns of equal length."""
     _require_xyz(columns, file)
     return RawPart(np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1), _first_present(columns, _RGB))
 

@@ -57,7 +57,7 @@ class BundleFolder:
 
     @property
     def to_asset(self) -> Floats:
-        """(4,4) from the capture frame, in which the full mesh and the points are, to the asset frame."""
+        """Transform (4,4) from the capture frame, in which the full mesh and the points are, to the asset frame."""
         matrix: Floats = np.array(self.manifest["capture_to_asset"], np.float64).reshape(4, 4)
         return matrix
 

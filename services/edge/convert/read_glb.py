@@ -88,7 +88,7 @@ class _Reader:
         return cls(json.loads(data[20 : 20 + length]), data[28 + length :])
 
     def accessor(self, number: int) -> NDArray[Any]:
-        """The numbers of an accessor: (n,), or (n,k) for vectors."""
+        """Decode an accessor to an array: (n,), or (n,k) for vectors."""
         accessor = self.document["accessors"][number]
         view = self.document["bufferViews"][accessor["bufferView"]]
         width, kind = _WIDTHS[accessor["type"]], np.dtype(_TYPES[accessor["componentType"]])
@@ -98,7 +98,7 @@ class _Reader:
         return rows.reshape(count, -1)[:, :width] if width > 1 else rows
 
     def view(self, number: int) -> bytes:
-        """The bytes of a buffer view, decompressed."""
+        """Return the bytes of a buffer view, decompressed."""
         view = self.document["bufferViews"][number]
         packed = view.get("extensions", {}).get(_MESHOPT)
         place = packed or view

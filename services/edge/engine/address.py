@@ -74,7 +74,7 @@ class _SharedCluster:
 
     @contextmanager
     def use(self) -> Iterator[Engine]:
-        """Connect, unless another user has. Who leaves cancels its own tasks before. Raises EdgeError ENGINE_LOST."""
+        """Connect to the Ray cluster, or share the connection of another user. Raises EdgeError ENGINE_LOST."""
         with self._lock:
             engine = self._engine = self._engine or _open_ray(self._address)
             self._users += 1

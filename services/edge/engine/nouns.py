@@ -72,7 +72,7 @@ class Engine(Protocol):
     """Runs tasks, as many at once as there is room for by their needs."""
 
     def submit(self, needs: Needs, work: Work[Result], *inputs: Any) -> Submitted[Result]:
-        """Begin a task, or let it wait for its turn. Raises EdgeError ENGINE_LOST."""
+        """Submit a task: start it, or queue it until there is room. Raises EdgeError ENGINE_LOST."""
         ...
 
     def close(self) -> None:

@@ -87,7 +87,7 @@ class _Drawn:
         return replace(self, surface=self.surface.with_vertices(which, faces))
 
     def with_positions(self, vertices: NDArray[Any]) -> _Drawn:
-        """The same surface with other vertex positions."""
+        """Return a copy of the surface with other vertex positions."""
         return replace(self, surface=replace(self.surface, mesh=replace(self.mesh, vertices=vertices)))
 
 

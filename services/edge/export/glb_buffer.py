@@ -32,7 +32,7 @@ def glb_document(primitive: dict[str, Any], node: dict[str, Any]) -> dict[str, A
 
 
 def glb_bytes(document: dict[str, Any], binary: bytes) -> bytes:
-    """The bytes of a .glb from its glTF document and its binary chunk, which is of whole 32-bit words."""
+    """Encode a .glb from its glTF document and its binary chunk, which is of whole 32-bit words."""
     text = json.dumps(document, separators=(",", ":")).encode("ascii")
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(binary), _BIN) + binary

@@ -63,7 +63,7 @@ class Adam:
 
     @torch.no_grad()
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint's state."""
+        """Restore the optimizer's state from a checkpoint."""
         for name, mine in self.state_dict().items():
             for tensor, saved in zip(mine, state[name], strict=True):
                 tensor.copy_(saved)

@@ -94,7 +94,7 @@ class AnchorEdges:
 
 
 def edges_between(anchors: Anchors, neighbours: Ints, tolerance: Tolerance, device: torch.device) -> AnchorEdges:
-    """Build the edges between anchors and their neighbours (N,K), self first, that seem to lie on the same sheet."""
+    """Build the edges between anchors and those of their neighbours (N,K), self first, on the same sheet."""
     count = len(anchors.xyz)
     own = np.repeat(np.arange(count), neighbours.shape[1] - 1)
     other = neighbours[:, 1:].ravel()

@@ -59,7 +59,7 @@ def nearest(queries: Tensor, points: Tensor) -> Tensor:
 
 
 def several_nearest_in(points: Tensor, count: int) -> Nearest:
-    """As `nearest_in`, but the `count` nearest points, nearest first: index (M,count)."""
+    """k-nearest-neighbour search like `nearest_in`: indices (M,count) of the `count` nearest points, nearest first."""
     if points.device.type == "cpu":
         tree = cKDTree(_finite(points))
         ranks = np.arange(1, count + 1)

@@ -14,7 +14,7 @@ _TINY = 1e-30  # avoids 0/0 for a set without extent; far below any squared dist
 
 
 def smallest_eigenvectors(matrices: Floats) -> Floats:
-    """(N,3,3) symmetric -> unit eigenvectors of the smallest eigenvalue (N,3).
+    """Compute the unit eigenvectors (N,3) of the smallest eigenvalues of symmetric matrices (N,3,3).
 
     float64 throughout: the cubic loses half the digits. A matrix whose smallest eigenvalue is double has no unique
     answer: it gets one of the possible vectors, or zeros.

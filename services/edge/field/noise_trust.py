@@ -55,7 +55,7 @@ class Scan:
         return replace(self, freedom=np.zeros_like(self.freedom), usable=np.zeros_like(self.usable))
 
     def subset(self, part: Ints) -> Scan:
-        """The scan of these anchors only."""
+        """Return the subset of these anchors."""
         return Scan(self.height[part], self.sigma[part], self.freedom[part], self.usable[part])
 
 
@@ -81,7 +81,7 @@ def trial_points(xyz: Floats) -> Ints:
 
 
 def held_out_mask(count: int) -> Bools:
-    """(count,) True for points that the trial fits do not see."""
+    """Choose the held-out points (count,) that the trial fits do not see."""
     return np.random.default_rng(_SEED).random(count) < HELD_OUT
 
 

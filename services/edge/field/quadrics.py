@@ -26,7 +26,7 @@ def weighted_pca(relative: Floats, weights: Floats) -> tuple[Floats, Floats]:
 
 
 def tangents(normal: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (N,3) perpendicular to each unit normal (N,3) and to each other."""
+    """Compute two tangents (N,3), perpendicular to each unit normal (N,3) and to each other."""
     axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
     u = np.cross(normal, axis)
     u /= np.linalg.norm(u, axis=1, keepdims=True) + TINY
@@ -41,7 +41,7 @@ def monomials(relative: Floats, u: Floats, v: Floats) -> Floats:
 
 
 def fit_quadric(terms: Floats, height: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Weighted least squares -> coefficients (N,6), and the inverse of the normal matrix (N,6,6)."""
+    """Fit quadrics by weighted least squares: coefficients (N,6), and the inverse of the normal matrix (N,6,6)."""
     weighted = terms * weights[..., None]
     gram = np.matmul(weighted.transpose(0, 2, 1), terms).astype(np.float64)
     gram += (_RIDGE * weights.sum(axis=1) + TINY)[:, None, None] * np.eye(QUADRIC)

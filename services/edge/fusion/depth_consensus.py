@@ -78,7 +78,7 @@ class _Sighting:
 def vote_on_points(
     xyz: Floats, normal: Floats, views: Sequence[VotingView], origin: Floats, tick: Tick = no_tick
 ) -> ViewAgreement:
-    """Let every view vote on every point that it can see.
+    """Remove outliers by a vote of free space: every view votes on every point that it can see.
 
     xyz (N,3) float32 m relative to `origin` (3,); normal (N,3) mean normals, shorter than 1 where they disagreed.
     A point moves to the weighted mean of the surfaces that the agreeing views see along their own rays: so several

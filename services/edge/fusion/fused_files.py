@@ -44,7 +44,7 @@ class FusedFiles:
         self.count += len(records)
 
     def sample(self, most: int) -> tuple[Floats, Bytes | None, Floats]:
-        """Some of the points at random, at most `most`: xyz (N,3) in the capture frame, rgb and confidence (N,)."""
+        """Sample at most `most` of the points at random: xyz (N,3) in the capture frame, rgb and confidence (N,)."""
         rng = np.random.default_rng(_SEED)
         chosen = np.zeros(self.count, bool)
         chosen[rng.permutation(self.count)[:most]] = True

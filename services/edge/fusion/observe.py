@@ -52,7 +52,7 @@ def observe(
 def back_project(
     camera: Intrinsics, camera_to_world: Floats, rows: Ints, columns: Ints, inverse: Floats, origin: Floats
 ) -> Floats:
-    """Places (N,3) float32, relative to `origin` (3,), of pixels (N,) with inverse depth (N,) in 1/m."""
+    """Back-project pixels (N,) with inverse depth (N,) in 1/m to points (N,3) float32, relative to `origin` (3,)."""
     x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
     local = np.stack([x, y, np.ones_like(x)], axis=1, dtype=np.float32) / inverse[:, None]
     rotation = camera_to_world[:3, :3].astype(np.float32)

@@ -41,7 +41,7 @@ class ViewingDistance:
 
     @classmethod
     def of(cls, places: Floats, eyes: Floats) -> ViewingDistance:
-        """From surface points (N,3) and the positions (N,3) of the cameras that saw them."""
+        """Build the grid of viewing distances from surface points (N,3) and the positions (N,3) of their cameras."""
         cells, sides = _cells(places), _sides(eyes - places)
         keys, least = _least(_keys(cells, sides), np.linalg.norm(eyes - places, axis=1))
         return cls(*_least(*_spread(keys, least)))

@@ -37,6 +37,6 @@ def read_array(path: Path, kind: np.dtype[Any], shape: tuple[int, ...]) -> Any:
 
 
 def invalid(message: str, file: str | None = None) -> EdgeError:
-    """The error for prepared points that `write_prepared` would not write."""
+    """Create the error for prepared points that are malformed: `write_prepared` would not write them."""
     hints = ("install the same version of capture2vr on both workers",)
     return EdgeError("POINTS_INVALID", f"prepared points: {message}", file=file, hints=hints)

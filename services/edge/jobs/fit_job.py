@@ -68,7 +68,7 @@ class FieldFitter:
     def fit(
         self, prepared: PreparedPoints, bar: Bar, request: ReconstructionRequest, checkpoint: Path, report: Report
     ) -> pb.Finished:
-        """Do the rest of a job from its points, on the rest of `bar`. Raises EdgeError, and Cancelled as `report` does.
+        """Run a job from its points on: fit, extract, publish. Raises EdgeError, and Cancelled as `report` does.
 
         Raises MEMORY_EXCEEDED after the preview where the fit needs more than this worker's whole budget; with the
         automatic preset the preview is the result then.

@@ -48,7 +48,7 @@ class Inspector:
         self._server.start()
 
     def close(self) -> None:
-        """End the server of the processes."""
+        """Terminate the fork server and its inspections."""
         self._server.close()
 
     def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:

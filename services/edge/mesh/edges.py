@@ -98,7 +98,7 @@ def border_loops(faces: Ints, border: Ints | None = None) -> list[Ints]:
 
 
 def next_half(half: Ints) -> Ints:
-    """The next half-edge in the same face, for each half-edge."""
+    """Return the next half-edge in the same face, for each half-edge."""
     return half - half % 3 + (half + 1) % 3
 
 

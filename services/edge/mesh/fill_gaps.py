@@ -59,7 +59,7 @@ class FilledMesh:
 
     @classmethod
     def unfilled(cls, mesh: Mesh) -> FilledMesh:
-        """The mesh as it is, with nothing filled."""
+        """Wrap a mesh without filling any hole."""
         return cls(mesh, np.zeros(len(mesh.faces), bool))
 
     @property

@@ -32,7 +32,7 @@ Vector = Sequence[float]
 
 
 def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, largest: Floats | None = None) -> Mesh:
-    """Close every border loop shorter than the (V,) longest at its vertices with a fan around its middle.
+    """Fill small holes: close each border loop shorter than `longest` (V,) at its vertices by a triangle fan.
 
     largest (V,): longer loops are closed too where an area below this suffices.
     Needs a mesh whose vertices have one fan of faces each (`to_manifold`); border is its `border_edges`, where known.

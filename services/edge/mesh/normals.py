@@ -51,7 +51,7 @@ def sum_at_vertices(faces: Ints, values: Floats, count: int) -> Floats:
 
 
 def split_flips(mesh: Mesh) -> Mesh:
-    """The mesh with vertices doubled along edges whose two faces wind against each other; the same mesh if none do."""
+    """Split the mesh along edges whose two faces have opposite winding, by doubling vertices there."""
     seam = _on_flipped_edge(mesh.faces, len(mesh.vertices))
     if not seam.any():
         return mesh

@@ -89,7 +89,7 @@ def simplify(
     hold: Hold | None = None,
     tick: Tick = no_tick,
 ) -> Mesh:
-    """The mesh with at most `faces` faces, or as few as its borders allow; the same mesh if it has no more already.
+    """Simplify the mesh to at most `faces` faces, or to as few as its borders allow.
 
     Every border loop survives unless the budget cannot be met with all of them, and no edge gets a third face that had
     none: where nothing else helps, the mesh is cut there. Colours are averaged in linear light over the vertices that a

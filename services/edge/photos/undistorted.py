@@ -47,7 +47,7 @@ class UndistortedPhoto:
 
 
 def load_undistorted_grey(view: PhotoView, longest: int) -> UndistortedPhoto:
-    """Load a view's undistorted grey picture at no more than `longest` pixels along its longer side."""
+    """Load a view's grey picture, undistorted and downsampled to at most `longest` pixels."""
     import cv2
 
     rgb, camera = load_undistorted_rgb(view, longest)

@@ -34,7 +34,7 @@ _PRIMES = np.array([73_856_093, 19_349_663, 83_492_791])  # of a spatial hash (M
 
 
 def mesh_tile(tick: Tick, cells: Floats, grid: TileGrid, tile: Tile, noise: float = 0.0) -> Mesh:
-    """Mesh a tile from the points (N,3) of it and its halo -> the mesh of it and a strip around it, both in cells.
+    """Mesh a tile and a strip around it from the points (N,3) of the tile and its halo; all in cells.
 
     A task of an engine.
 

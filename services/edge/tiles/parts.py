@@ -71,7 +71,7 @@ class Span:
 def run_parts(
     engine: Engine | None, parts: Sequence[Part], work: PartWork[Part, Result], span: Span
 ) -> Generator[Progress, None, None]:
-    """Do the work for every part that has no result yet, and store the results as they come.
+    """Process every part that has no result yet, in parallel, and store the results as they come.
 
     engine  None: one after the other, in this process
 

@@ -55,7 +55,7 @@ class MemoryBudget:
                 self._changed.notify_all()
 
     def _try_take(self, ticket: object, wanted_bytes: int) -> bool:
-        """Take the bytes if this ticket is the first in the queue and enough are free, within _POLL_S; else False.
+        """Reserve the bytes if this ticket is the first in the queue and enough are free, within _POLL_S; else False.
 
         Strictly in order, so that small jobs cannot overtake a large one for ever.
         """

@@ -112,7 +112,7 @@ class Authentication:
         self._by_id.pop(key.id, None)
 
     def created(self) -> None:
-        """Look for keys again at the next request: one was created here."""
+        """Invalidate the cached answer to whether there are keys: one was created here."""
         self._keyless_until = 0.0
 
     async def store_use(self) -> None:

@@ -69,7 +69,7 @@ class ReadersCache:
         return found
 
     def forget_all(self, tenant: str) -> None:
-        """Look up a tenant's things anew: one was changed here, and others may depend on it."""
+        """Invalidate the cache of a tenant's assets, collections and arrangements, after one was changed here."""
         for thing in [each for each in self._cached if each.tenant == tenant]:
             self._cached.pop(thing, None)
 

@@ -74,7 +74,7 @@ class Scrub:
             _log.warning("the store could not be scrubbed to the end: %s", error)
 
     def steps(self) -> Iterator[str]:
-        """Do the rest of a round, a read or a page of names at a time; yield what came last.
+        """Continue a scrub, one read or one page of names at a time; yield after each step.
 
         Raises OSError where the store fails; the steps of another call then go on with the file that was not checked.
         """

@@ -46,7 +46,7 @@ class OtherGateways:
         self._queued: dict[str, asyncio.TimerHandle] = {}  # jobs that have just been queued, and when to look at them
 
     async def watch(self) -> None:
-        """Notify until cancelled."""
+        """Listen for other gateways' changes and pass them on to this gateway's listeners, until cancelled."""
         store = self._job_store.blocking
         if store.announces:
             await listen(store.engine, self._channels, on_connected=self._on_connected)

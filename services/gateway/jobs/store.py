@@ -120,7 +120,7 @@ class JobStore:
 
     @property
     def engine(self) -> Engine:
-        """The database."""
+        """The SQLAlchemy engine of the jobs database."""
         return self._engine
 
     @property
@@ -428,7 +428,7 @@ def _stored_key(tenant: str, key: str) -> str:
 
 
 def update_rows(db: Connection, change: Change) -> None:
-    """Write a changed job, its lease, its events and what webhooks are told of them."""
+    """Write a changed job, its lease, its events and the webhook messages about them."""
     _write_rows(db, change, _new_messages(db, change))
 
 

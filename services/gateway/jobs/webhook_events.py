@@ -13,7 +13,7 @@ _TOLD = {State.RUNNING, State.SUCCEEDED, State.FAILED, State.CANCELLED}
 
 
 def webhook_events(job: Job, events: Iterable[nouns.Event]) -> list[Event]:
-    """Return what webhooks are told of the events of a change; nothing of progress, for one."""
+    """Convert the events of a job's change to webhook events; progress, for one, is left out."""
     return [told for event in events if (told := _webhook_event(job, event)) is not None]
 
 

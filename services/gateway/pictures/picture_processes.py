@@ -25,7 +25,7 @@ class PictureProcesses:
         self._server = ForkServer.of("capture2vr.gateway.pictures.shrink_work")
 
     def close(self) -> None:
-        """End the server of the processes. Photos that are being shrunk are given up."""
+        """Terminate the fork server; photos that are being shrunk are given up."""
         self._server.close()
 
     async def shrink(self, read: Callable[[], Awaitable[tuple[str, bytes]]]) -> bytes:

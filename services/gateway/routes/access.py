@@ -143,7 +143,7 @@ class KeyPage(BaseModel):
 
 @router.get("/session", response_model=SessionView, dependencies=[ANYONE], responses=problems(401))
 async def get_session(request: Request) -> SessionView:
-    """Tell who makes this request: tenant, scopes, and whether by a key, a session, or without either."""
+    """Return who makes this request: tenant, scopes, and whether by a key, a session, or without either."""
     return SessionView.of(await authenticate(request))
 
 

@@ -42,7 +42,7 @@ InCollection = Annotated[
 
 class AssetSummary(BaseModel):
     """One asset in a list. `preview` is the URL of a picture, `self` the URL of the whole entry, `view` the URL of its
-    viewer page; `labels` are search words, `collections` names the collections that list it.
+    viewer page; `labels` are its tags, `collections` names the collections that list it.
     """
 
     key: str

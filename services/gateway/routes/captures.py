@@ -142,7 +142,7 @@ class CaptureDeletionView(BaseModel):
 
 
 class OutlineView(BaseModel):
-    """The thing in a single photo: closed lines around it, of corners [x, y] as shares of the upright photo's width and
+    """The object in a photo: closed lines around it, of corners [x, y] as shares of the upright photo's width and
     height. Captures of another kind have none. `warnings` says where the choice is doubtful; `inspected`: whether a
     worker could look.
     """
@@ -186,11 +186,11 @@ async def upload_capture(
 ) -> CaptureView:
     """Upload a capture: photos, a video, a point cloud, or the export of a scanner app, as files or as one zip.
 
-    Every file is checked. Locations, serial numbers and names of persons are removed from photos, films and E57 scans;
-    files that only tell such things of others (tracks of a way, subtitles, XMP) are left out; other files are stored as
-    they are. The answer is sent after the capture has been stored. `box` is only for the inspection of a single photo;
-    a job names it again. With `continues` the photos are added to those of an earlier capture, as a new one: a job
-    again with it makes the next version of the same asset.
+    Every file is checked. Locations, serial numbers and names of persons are removed from photos, videos and E57; files
+    that only tell such facts of others (tracks of a way, subtitles, XMP) are left out; other files are stored as they
+    are. The answer is sent after the capture has been stored. `box` is only for the inspection of a single photo; a job
+    names it again. With `continues` the photos are added to those of an earlier capture, as a new one: a job again with
+    it makes the next version of the same asset.
     """
     caller, limits, usage = caller_of(request), await limits_of(request), gateway.access.usage
     tenant = caller.tenant

@@ -87,7 +87,7 @@ async def headers_alone(store: Store, name: str, request: Request) -> Response:
     responses={204: {"headers": {"X-Visibility": {"schema": {"type": "string"}}}}, **problems(401, 404)},
 )
 async def may_read_folder(folder: str, request: Request) -> Response:
-    """Tell a proxy whether this request may read an asset's or a collection's files: 204 and the visibility, or 401.
+    """Authorise a proxy's request for files of an asset or a collection: 204 and the visibility, or 401.
 
     For nginx's auth_request. `folder` is `assets/KEY` or `collections/NAME`, of others behind `tenants/TENANT/`.
     """

@@ -115,7 +115,7 @@ async def view_asset(key: str, request: Request) -> Response:
 
 @router.get("/scene/{scene}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})
 async def view_scene(scene: str, request: Request) -> Response:
-    """The viewer page of a scene: its things where they were put, for a screen or a headset."""
+    """The viewer page of an arrangement: its objects where they were put, for a screen or a headset."""
     if not re.fullmatch(SCENE_ID, scene):
         raise Problem(404, "SCENE_INVALID", "this is not a valid scene id", hints=("check the id in the URL",))
     return _page("viewer/view.html", request)

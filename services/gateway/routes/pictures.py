@@ -34,7 +34,7 @@ class CapturePicture(BaseModel):
 
 
 class CaptureFilm(BaseModel):
-    """A film of a stored capture: its file in it, and the URL of that file. A key frame of it is a lasso's `photo` as
+    """A video of a stored capture: its file in it, and the URL of that file. A key frame of it is a lasso's `photo` as
     `NAME at SECONDS s`, with two decimals."""
 
     name: str
@@ -42,7 +42,7 @@ class CaptureFilm(BaseModel):
 
 
 class CapturePictures(BaseModel):
-    """The photos and films of a stored capture."""
+    """The photos and videos of a stored capture."""
 
     pictures: list[CapturePicture]
     films: list[CaptureFilm]
@@ -55,7 +55,7 @@ class CapturePictures(BaseModel):
     responses=problems(404, 422, 503),
 )
 async def get_pictures(capture: CaptureId, request: Request) -> CapturePictures:
-    """List a capture's photos, as `photo` of a recipe's lassos names them, and the films whose key frames it names."""
+    """List a capture's photos, as `photo` of a recipe's lassos names them, and the videos whose key frames it names."""
     store = store_of(request)
 
     def names() -> tuple[list[str], list[str]]:
@@ -104,10 +104,10 @@ async def get_picture(
 )
 async def get_film(
     capture: CaptureId,
-    film: Annotated[int, Path(ge=0, le=100_000, description="Place in the list of the capture's films, from 0.")],
+    film: Annotated[int, Path(ge=0, le=100_000, description="Place in the list of the capture's videos, from 0.")],
     request: Request,
 ) -> Response:
-    """Get a film of a capture as it was stored, or a part of it with a Range header: a browser seeks in it by parts."""
+    """Get a stored video of a capture, or a part of it with a Range header: a browser seeks in it by parts."""
     store = store_of(request)
     found = await in_thread(lambda: find_film(store, capture, read_receipt(store, _kind_of, capture), film))
     etag = f"{capture}-{film}"  # a stored capture never changes

@@ -53,7 +53,7 @@ _log = logging.getLogger(__name__)
     responses={
         200: {
             "description": "Server-sent events with JSON data: `scene` (a new version, all of it; its `id` is the "
-            "version), `moving` (where a thing is while somebody moves it; nothing of that is stored), `deleted`, "
+            "version), `moving` (where an object is while somebody moves it; nothing of that is stored), `deleted`, "
             "after which the stream ends, and `heartbeat`. It also ends once the reader may no longer read the scene",
             "content": {
                 "text/event-stream": {

@@ -41,7 +41,7 @@ SceneId = Annotated[str, Path(max_length=40, pattern=f"^{SCENE_ID}$", descriptio
 
 
 class SceneRequest(StrictBody):
-    """A scene: its name, and its things where they stand. `position_m` is in the scene's own frame (metres, Y up, the
+    """An arrangement: its name and its objects, where they stand. `position_m` is in its own frame (metres, Y up, the
     floor at 0), `rotation` a unit quaternion x, y, z, w. Whether the assets exist is not asked.
     """
 
@@ -50,7 +50,7 @@ class SceneRequest(StrictBody):
 
 
 class SceneView(BaseModel):
-    """A scene. `view`: path of its page; `may_place`: whether the viewer lets the caller move things about;
+    """An arrangement. `view`: path of its page; `may_place`: whether the viewer lets the caller move objects about;
     `may_save`: whether the caller may replace it. Its ETag is its version.
     """
 
@@ -66,7 +66,7 @@ class SceneView(BaseModel):
 
 
 class SceneSummary(BaseModel):
-    """A scene of the list. `things`: how many stand in it."""
+    """An arrangement of the list. `things`: how many objects stand in it."""
 
     id: str
     name: str
@@ -92,7 +92,7 @@ class ScenePage(BaseModel):
     responses=problems(409, 415, 422, 503),
 )
 async def post_scene(body: SceneRequest, request: Request, response: Response) -> SceneView:
-    """Save a new scene."""
+    """Save a new arrangement."""
     store = store_of(request)
     try:
         scene = await in_thread(lambda: create_scene(store, body.name, body.items))
@@ -148,7 +148,7 @@ async def put_scene(
     response: Response,
     if_match: Annotated[str, Header(max_length=100, description="ETag of the version that was changed.")] = "",
 ) -> SceneView:
-    """Replace a scene's name and things: all of it, or nothing where somebody has saved another version meanwhile."""
+    """Replace an arrangement's name and objects, unless somebody has saved another version meanwhile."""
     version, store = _version_of(if_match), store_of(request)
     try:
         changed = await in_thread(lambda: replace_scene(store, scene, version, body.name, body.items))

@@ -23,7 +23,7 @@ class Listener:
     _moved: dict[str, tuple[str, MovedItem]] = field(default_factory=dict)
 
     def change(self) -> None:
-        """Note that the scene has changed."""
+        """Queue the event that the arrangement has changed."""
         self._is_stale = True
         self.news.set()
 

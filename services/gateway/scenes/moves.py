@@ -18,7 +18,7 @@ MOST_MOVED = 8
 
 @dataclass(frozen=True, slots=True)
 class MovedItem:
-    """A thing of a scene that is being moved. The fields are those of a `PlacedAsset`."""
+    """An object of an arrangement that is being moved. The fields are those of a `PlacedAsset`."""
 
     id: ItemId
     position_m: Position

@@ -70,17 +70,17 @@ class SceneNews:
         return self._streams.total()
 
     def change(self, scene: Thing) -> None:
-        """Tell everybody that a scene was replaced or deleted here."""
+        """Broadcast that an arrangement was replaced or deleted here."""
         self._change(scene)
         self._tell_others(scene, "")
 
     def move(self, scene: Thing, moves: Moves) -> None:
-        """Tell everybody where things of a scene are just now."""
+        """Broadcast where the moved objects of an arrangement are just now."""
         self._move(scene, moves)
         self._tell_others(scene, moves_as_json(moves))
 
     def hear(self, text: str) -> None:
-        """Tell the listeners here what another gateway has sent."""
+        """Pass a notification from another gateway on to the listeners here."""
         if text.startswith(f"{self._origin} "):
             return
         try:
@@ -101,7 +101,7 @@ class SceneNews:
             self._change(scene)
 
     async def tell(self) -> None:
-        """Tell other gateways, one thing after the other, until cancelled."""
+        """Send notifications to the other gateways, one after the other, until cancelled."""
         while True:
             text = await self._outbox.get()
             try:

@@ -33,7 +33,7 @@ class CheckProcesses:
         self._server.start()
 
     def close(self) -> None:
-        """End the server of the processes. Checks that run are ended."""
+        """Terminate the fork server, and the checks that run."""
         self._server.close()
 
     async def check(self, order: CheckOrder) -> PackedFiles:

@@ -43,7 +43,7 @@ class Deliveries:
         await self._sender.check(url)
 
     def wake(self) -> None:
-        """Look at the outbox now."""
+        """Wake the delivery loop: look for new messages in the outbox now."""
         self._wake.set()
 
     async def run(self) -> None:

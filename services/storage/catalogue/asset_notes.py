@@ -52,12 +52,12 @@ class Note:
 
     @property
     def as_json(self) -> dict[str, Any]:
-        """As a catalogue entry has it."""
+        """Serialise the note as JSON, for a catalogue entry."""
         return {**asdict(self), "at": list(self.at), "normal": None if self.normal is None else list(self.normal)}
 
 
 def notes_of(document: Mapping[str, Any]) -> tuple[Note, ...]:
-    """The notes in a catalogue entry, in the order in which they were pinned; older entries have none."""
+    """Parse the notes of a catalogue entry, in the order in which they were pinned; older entries have none."""
     return tuple(map(Note.of, document.get("notes") or ()))
 
 

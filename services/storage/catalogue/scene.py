@@ -105,7 +105,7 @@ class Scene:
 
     @property
     def as_json(self) -> dict[str, Any]:
-        """The document, as the store has it."""
+        """Serialise the arrangement as the JSON document on the store."""
         document: dict[str, Any] = _SCENE.dump_python(self, mode="json")
         return document
 
