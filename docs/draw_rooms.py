@@ -28,7 +28,7 @@ TOP_ROOMS = {
     },
     "gateway": {
         SHARED: ("errors", "database_faults"),
-        "app": ("__main__", "app", "middleware"),
+        "app": ("__main__", "app", "middleware", "opening", "running", "server"),
         "schemas": ("schemas", "settings", "metrics"),
     },
     "storage": {

@@ -18,18 +18,29 @@ from capture2vr.cli.options import (
     DEFAULT_GATEWAY,
     Box,
     Collection,
+    CutOption,
+    Description,
     EditsFile,
+    FillOption,
     Gateway,
+    Label,
+    Longest,
     Open,
+    PresetHere,
+    PresetThere,
     Tags,
+    TargetOption,
     Trusted,
+    VisibilityOption,
     parse_box,
     read_edits,
 )
 from capture2vr.cli.remote.catalogue import app as catalogue
 from capture2vr.cli.remote.keys import app as keys
 from capture2vr.cli.remote.shares import app as shares
+from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.download_formats import FORMATS
+from capture2vr.order.job_options import JobOptions
 from capture2vr.process.strict_settings import SettingsError
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
 
@@ -46,38 +57,7 @@ app.add_typer(gateway, name="gateway")
 app.add_typer(keys, name="keys")
 app.add_typer(shares, name="shares")
 
-FillChoice = Literal["none", "unseen", "all"]
-CutChoice = Literal["auto", "object", "scene"]
 _DAY = ["%Y-%m-%d"]
-
-CutOption = Annotated[
-    CutChoice | None,
-    typer.Option(
-        "--cut",
-        help="What to keep: object, without the floor or table and the surroundings; scene: everything that was seen; "
-        "auto, the default: the object if the photos were taken around one.",
-    ),
-]
-Longest = Annotated[
-    float | None,
-    typer.Option(min=0.001, max=1_000, help="Metres between the farthest points of the object, if you measured it."),
-]
-Fill = Annotated[
-    FillChoice | None,
-    typer.Option(
-        help="Holes of the mesh to fill: none; unseen: those in its surface that no photo sees through; all: also "
-        "open ends and undersides. Default: unseen for photos and depth images, none for point clouds."
-    ),
-]
-Target = Annotated[
-    str,
-    typer.Option(
-        help="Device class whose budget the levels of detail must meet: quest3, quest2, web or archive. "
-        "With -unlit (quest3-unlit): colours as captured, independent of the scene's light. With -ktx2 (quest3-ktx2, "
-        "quest3-unlit-ktx2): KTX2 textures, made by the encoder in the folder EDGE_KTX2. With -normals "
-        "(quest3-normals): normal maps, which show the full mesh's shape on the levels of detail."
-    ),
-]
 
 
 FormatOption = Annotated[str, typer.Option("--format", help=f"Format of the file: {', '.join(FORMATS)}.")]
@@ -93,19 +73,17 @@ def run(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
-    preset: Annotated[
-        str, typer.Option(help="Method of reconstruction, see `capture2vr presets`. Default: chosen from the points.")
-    ] = "",
+    preset: PresetHere = "",
     device: Annotated[str, typer.Option(help="Device for training: cpu, cuda, cuda:1, or auto.")] = "auto",
     resolution: Annotated[
         int, typer.Option(min=0, max=1024, help="Grid cells along the longest side; 0: automatic.")
     ] = 0,
     cut: CutOption = None,
     longest: Longest = None,
-    fill: Fill = None,
+    fill: FillOption = None,
     box: Box = "",
     edits: EditsFile = None,
-    target: Target = "",
+    target: TargetOption = "",
     key: Annotated[str, typer.Option(help="Asset key. Default: made from the capture's name.")] = "",
     collection: Collection = DEFAULT_COLLECTION,
     reference: Annotated[
@@ -122,26 +100,23 @@ def run(
     from capture2vr.edge.engine.address import engine_for_parts
 
     exit_on_signals()
-    recipe = read_edits(edits)
-    options = RunOptions(
-        key=key,
-        collection=collection,
-        cut=cut or recipe.cut or "auto",
+    job = JobOptions(
+        preset=preset,
+        target=target,
+        cut=cut or "",
+        fill=fill or "",
         longest_m=longest,
-        target=target or recipe.target,
-        reference=reference,
-        fill=fill or recipe.fill or None,
         box=parse_box(box),
-        edits=recipe,
+        edits=read_edits(edits),
+        collection=collection,
     )
-    preset = preset or recipe.preset
+    options = RunOptions(job, key=key, reference=reference, device=device, resolution=resolution)
     if len(captures) == 1:
-        engine = engine_for_parts(edge_settings().engine, machine_room())
-        run_capture(captures[0], out, options, preset=preset, device=device, resolution=resolution, engine=engine)
+        run_capture(captures[0], out, options, engine=engine_for_parts(edge_settings().engine, machine_room()))
         return
     from capture2vr.cli.local.run_many import run_captures
 
-    if not run_captures(captures, out, options, preset=preset, device=device, resolution=resolution):
+    if not run_captures(captures, out, options):
         raise typer.Exit(1)
 
 
@@ -183,53 +158,44 @@ def push(
         ),
     ] = "",
     gateway: Gateway = DEFAULT_GATEWAY,
-    preset: Annotated[
-        str, typer.Option(help="Method of reconstruction, see `capture2vr presets`. Default: the gateway's.")
-    ] = "",
-    label: Annotated[str, typer.Option(help="A name for people. Default: the key.")] = "",
-    description: Annotated[str, typer.Option(help="Some lines about the asset, for people.")] = "",
+    preset: PresetThere = "",
+    label: Label = "",
+    description: Description = "",
     tag: Tags = None,
     collection: Collection = "",
     cut: CutOption = None,
     longest: Longest = None,
-    fill: Fill = None,
+    fill: FillOption = None,
     box: Box = "",
     edits: EditsFile = None,
-    target: Target = "",
-    visibility: Annotated[
-        Literal["private", "unlisted", "public"] | None,
-        typer.Option(help="Who may read the asset besides its tenant. Default: as it is, or as its collection."),
-    ] = None,
+    target: TargetOption = "",
+    visibility: VisibilityOption = None,
 ) -> None:
     """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
     from capture2vr.cli.remote.push import continue_capture, push_capture
     from capture2vr.cli.stop_signals import exit_on_signals
 
     exit_on_signals()
-    rectangle = parse_box(box)
-    recipe = read_edits(edits).as_json if edits else None
-    options = {
-        "preset": preset or None,
-        "collection": collection or None,
-        "cut": cut,
-        "longest_m": longest,
-        "fill": fill,
-        "box": rectangle.values if rectangle else None,
-        "edits": recipe,
-        "target": target or None,
-        "visibility": visibility,
-        "description": description or None,
-        "labels": tag,
-    }
+    options = JobOptions(
+        preset=preset,
+        target=target,
+        cut=cut or "",
+        fill=fill or "",
+        longest_m=longest,
+        box=parse_box(box),
+        edits=read_edits(edits),
+        names=AssetNames(label, description, tuple(tag or ())),
+        collection=collection,
+        visibility=visibility or "",
+    )
     if bool(key) == bool(continued):
         raise BadInput("name the asset: --key for a new capture, or --continue to add photos to an earlier one")
-    if continued:
-        fixed = [name for name, value in {**options, "label": label or None}.items() if value is not None]
-        if others := [name for name in fixed if name not in ("cut", "edits")]:
-            raise BadInput(f"--continue goes with --cut and --edits alone; the earlier job says {', '.join(others)}")
-        continue_capture(capture, gateway, key=continued, cut=cut, edits=recipe)
+    if not continued:
+        push_capture(capture, gateway, key=key, options=options)
         return
-    push_capture(capture, gateway, key=key, label=label, options=options)
+    if others := [name for name in options.given if name not in ("cut", "edits")]:
+        raise BadInput(f"--continue goes with --cut and --edits alone; the earlier job says {', '.join(others)}")
+    continue_capture(capture, gateway, key=continued, cut=cut, edits=options.edits if edits else None)
 
 
 @app.command()

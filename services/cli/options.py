@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from capture2vr.cli.errors import BadInput
-from capture2vr.order.edits import MOST_BYTES, NO_EDITS, Edits, InvalidEdits
+from capture2vr.order.edits import LEAST_M, MOST_BYTES, MOST_M, NO_EDITS, Edits, InvalidEdits
+from capture2vr.order.option_table import OPTION_TABLE, Cut, Fill, VisibilityName
 from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
 
 DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 
 Gateway = Annotated[str, typer.Option("--gateway", help="URL of the gateway.", envvar="CAPTURE2VR_GATEWAY")]
-Collection = Annotated[str, typer.Option("--collection", help="Name of the collection.", envvar="STORAGE_COLLECTION")]
 Trusted = Annotated[
     list[Path] | None,
     typer.Option(
@@ -26,26 +26,27 @@ Open = Annotated[
     bool,
     typer.Option("--open", help="Let everybody who reaches the port in, without an access key, from anywhere."),
 ]
-Tags = Annotated[
-    list[str] | None,
-    typer.Option("--tag", help="A tag of the asset, such as summer; may be repeated."),
-]
-Box = Annotated[
-    str,
-    typer.Option(
-        help="Rectangle around the object in a single photo: left,top,right,bottom as shares of the upright photo's "
-        "width and height, such as 0.2,0.1,0.8,0.95. Default: what stands out, else the largest object near the middle."
-    ),
-]
 
-EditsFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--edits",
-        help="Recipe (JSON) of what to cut away, which way is up and the true size, such as `edits` of a manifest. "
-        "What it says of cut, fill, preset and target holds where the command line says nothing.",
-    ),
-]
+
+def _job_option(name: str, default: str = "", **limits: Any) -> Any:
+    """An option of a job, with flag and help from their table; default: what the command does without it."""
+    row = OPTION_TABLE[name]
+    return typer.Option(row.flag, help=row.text(default), **limits)
+
+
+PresetHere = Annotated[str, _job_option("preset", "chosen from the points")]
+PresetThere = Annotated[str, _job_option("preset", "the gateway's")]
+TargetOption = Annotated[str, _job_option("target")]
+CutOption = Annotated[Cut | None, _job_option("cut")]
+FillOption = Annotated[Fill | None, _job_option("fill")]
+Longest = Annotated[float | None, _job_option("longest_m", min=LEAST_M, max=int(MOST_M))]
+Box = Annotated[str, _job_option("box")]
+EditsFile = Annotated[Path | None, _job_option("edits")]
+Label = Annotated[str, _job_option("label")]
+Description = Annotated[str, _job_option("description")]
+Tags = Annotated[list[str] | None, _job_option("labels")]
+Collection = Annotated[str, _job_option("collection", envvar="STORAGE_COLLECTION")]
+VisibilityOption = Annotated[VisibilityName | None, _job_option("visibility")]
 
 
 def parse_box(text: str) -> PhotoBox | None:

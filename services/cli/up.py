@@ -171,7 +171,7 @@ def _refuse_without_keys(host: str, port: int, data: Path, everybody: bool) -> N
     """Refuse what the gateway would refuse, before anything is started."""
     if host in LOOPBACK or everybody or os.environ.get("GATEWAY_OPEN"):
         return
-    from capture2vr.gateway.app import refuse_without_keys
+    from capture2vr.gateway.server import refuse_without_keys
     from capture2vr.gateway.settings import GatewaySettings
 
     environment = _environment(host, port, data.resolve(), edge_port=0)

@@ -12,6 +12,7 @@ from capture2vr.edge.export.ktx2 import Ktx2Encoder
 from capture2vr.edge.field.device import find_device
 from capture2vr.edge.jobs.available_presets import known_presets
 from capture2vr.edge.jobs.central_client import Central
+from capture2vr.edge.jobs.fit_job import FieldFitter
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.worker.control_group import own_control_group
 from capture2vr.edge.worker.guard import is_container_start, run_guarded
@@ -67,7 +68,8 @@ def _start(*, out_of_memory: bool) -> int:
     central = Central(settings.central, credentials=credentials) if settings.central else None
     room = Needs(machine_cores() / settings.slots, 1 / settings.slots, machine_bytes() // settings.slots)
     engine = engine_for_parts(settings.engine, room)
-    work = Reconstructor(store, presets, device, memory, central, publish, storage.collection, encode, engine)
+    fitter = FieldFitter(store, presets, device, memory, publish, encode, engine)
+    work = Reconstructor(fitter, central, storage.collection)
     work.warm_up()
     return serve(settings, work, out_of_memory=out_of_memory)
 

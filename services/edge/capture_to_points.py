@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from capture2vr.edge.arrays import Tick, no_tick, part_of, pick
-from capture2vr.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict
+from capture2vr.edge.capture.nouns import Capture, CaptureKind, Frame, PhotoVerdict
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.coverage import unseen_sides
 from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
@@ -34,12 +34,13 @@ from capture2vr.edge.points.flatness import flatness_warning
 from capture2vr.edge.points.frame_faults import FrameFaults
 from capture2vr.edge.points.isolate import isolate_object
 from capture2vr.edge.points.lasso import require_photos
-from capture2vr.edge.points.nouns import Cut, CutReport, Points, TextureView
+from capture2vr.edge.points.nouns import CutReport, Points, TextureView
 from capture2vr.edge.points.outliers import inliers
 from capture2vr.edge.points.scale import scale_to_longest
 from capture2vr.edge.points.upright import find_up
 from capture2vr.edge.progress import Bar, Clock, Progress
-from capture2vr.order.edits import NO_EDITS, Edits
+from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
+from capture2vr.order.option_table import Cut
 from capture2vr.order.photo_box import PhotoBox
 
 # Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
@@ -89,21 +90,19 @@ def preview_share(kind: CaptureKind) -> float:
 def prepare(
     capture: Capture,
     bar: Bar,
+    options: JobOptions = DEFAULT_OPTIONS,
     *,
     refines: bool,
     device: str = "cpu",
-    cut: Cut = "auto",
-    longest_m: float | None = None,
     hold_out: int | None = None,
-    box: PhotoBox | None = None,
-    edits: Edits = NO_EDITS,
 ) -> Generator[Progress, None, PreparedPoints]:
     """Make the points of a capture, and move `bar` to where fitting begins. Arguments and errors as of `reconstruct`.
 
+    options  of the job; here count its cut, longest_m, box and edits
     refines  whether a training may follow the preview
     """
-    require_single_photo(capture, box)
-    require_photos(capture, edits.lassos)
+    require_single_photo(capture, options.box)
+    require_photos(capture, options.edits.lassos)
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
     bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
@@ -115,10 +114,11 @@ def prepare(
             source = replace(source, verdicts=capture.verdicts)
     yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
-        points = _points(capture, cut, hold_out, box, edits.photos, bar)
-        points = scale_to_longest(points, longest_m) if longest_m else points  # it was measured before a cut
-        points = cut_away(points, edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
-        points = set_frame(points, edits)
+        points = _points(capture, options, hold_out, bar)
+        if options.longest_m:  # it was measured before anything was cut away
+            points = scale_to_longest(points, options.longest_m)
+        points = cut_away(points, options.edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
+        points = set_frame(points, options.edits)
         points = replace(
             points,
             texture_views=tuple(map(_at_texture_resolution, points.texture_views)),
@@ -145,13 +145,12 @@ def require_single_photo(capture: Capture, box: PhotoBox | None) -> None:
         )
 
 
-def _points(
-    capture: Capture, cut: Cut, hold_out: int | None, box: PhotoBox | None, drawn: frozenset[str], bar: Bar
-) -> Points:
+def _points(capture: Capture, options: JobOptions, hold_out: int | None, bar: Bar) -> Points:
     if capture.kind == "image":
         from capture2vr.edge.single_photo.to_points import to_points as guess_points  # loads torch
 
-        return guess_points(capture, box=box, tick=bar.tick("POINT_CLOUD"))
+        return guess_points(capture, box=options.box, tick=bar.tick("POINT_CLOUD"))
+    cut, drawn = options.cut or "auto", options.edits.photos
     return to_points(capture, cut=cut, hold_out=hold_out, drawn=drawn, tick=bar.tick("POINT_CLOUD"))
 
 
@@ -176,35 +175,57 @@ def to_points(
     no object, CAPTURE_NO_POSES where frames without poses cannot be placed, CAPTURE_BAD_POSE where poses contradict
     their frames. `tick` may raise `Cancelled`.
     """
-    if capture.kind == "rgbd" and not has_stereo_depth(capture.frames):  # stereo depth was made with its poses
-        posed = with_poses(capture, lambda fraction: tick(_POSES * fraction))
-        if posed is not capture:
-            capture, tick = posed, partial(_second_part, tick)
-    share = 1.0 if cut == "scene" else 0.9
+    capture, tick = _with_poses(capture, tick)
     if capture.kind == "points":
-        points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
-        kept = _ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is")
-        return isolate_object(replace(points, whole=None), tick=tick) if cut == "object" else replace(points, cut=kept)
-    cameras = tuple(frame.picture for frame in capture.frames if frame.picture)
-    drawn_in = tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn)
+        return _cloud_points(capture, voxel, cut, tick)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     faults = FrameFaults()  # what is compared at the end of a job must not end it
     held_out = tuple(frame for frame in held_out if faults.read_depth(frame) and faults.read_picture(frame) is not None)
-    in_parts = not has_stereo_depth(frames) and cut != "object"  # which is cut out of points in memory
-    fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
-    capture = replace(capture, frames=fused.frames)
-    points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
+    fused, points = _fused_points(capture, frames, voxel, cut, tick)
     points = replace(
         points,
         held_out_views=tuple(map(texture_view, held_out)),
-        cameras=cameras,
-        drawn_in=drawn_in,
-        warnings=(*points.warnings, *faults.warnings(len(capture.frames))),
+        cameras=tuple(frame.picture for frame in capture.frames if frame.picture),
+        drawn_in=tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn),
+        warnings=(*points.warnings, *faults.warnings(len(fused.frames))),
     )
-    points = _cut(points, capture, fused, cut, tick)
+    points = _cut(points, replace(capture, frames=fused.frames), fused, cut, tick)
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))
     return points
+
+
+def _with_poses(capture: Capture, tick: Tick) -> tuple[Capture, Tick]:
+    """Compute the poses of frames that have none; return also the tick for the rest of the time to the points."""
+    if capture.kind != "rgbd" or has_stereo_depth(capture.frames):  # stereo depth was made with its poses
+        return capture, tick
+    posed = with_poses(capture, lambda fraction: tick(_POSES * fraction))
+    return (capture, tick) if posed is capture else (posed, partial(_second_part, tick))
+
+
+def _cloud_points(capture: Capture, voxel: float | None, cut: Cut, tick: Tick) -> Points:
+    """Clean a cloud, which is taken as it is where no object is asked for."""
+    share = _share_to_cut(cut)
+    points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
+    if cut == "object":
+        return isolate_object(replace(points, whole=None), tick=tick)
+    return replace(points, cut=_ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is"))
+
+
+def _fused_points(
+    capture: Capture, frames: tuple[Frame, ...], voxel: float | None, cut: Cut, tick: Tick
+) -> tuple[FusedPoints, Points]:
+    """Fuse frames and clean their points; a large scene box by box, unless an object is cut out of it in memory."""
+    share = _share_to_cut(cut)
+    in_parts = not has_stereo_depth(frames) and cut != "object"
+    fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
+    seen = replace(capture, frames=fused.frames)
+    return fused, _rgbd_points(seen, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
+
+
+def _share_to_cut(cut: Cut) -> float:
+    """Share of the time to the points that passes before anything is cut out of them."""
+    return 1.0 if cut == "scene" else 0.9
 
 
 def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, tick: Tick) -> Points:

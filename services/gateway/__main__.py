@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from capture2vr.gateway.app import serve
+from capture2vr.gateway.server import serve
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.process.strict_settings import SettingsError
 from capture2vr.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys, open_store

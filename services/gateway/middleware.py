@@ -20,12 +20,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from capture2vr.gateway import browser_permissions
 from capture2vr.gateway.access.api_key import KEY_PATTERN, mask_keys
-from capture2vr.gateway.access.limits import Limits
 from capture2vr.gateway.access.sharing import mask_shares
 from capture2vr.gateway.connections import MAX_HEAD_BYTES, head_too_large
 from capture2vr.gateway.errors import Problem, internal_error
-from capture2vr.gateway.metrics import Metrics
-from capture2vr.gateway.records.audit_log import PASSING, AuditLog
+from capture2vr.gateway.gateway import Gateway, gateway_in
+from capture2vr.gateway.records.audit_log import PASSING
 from capture2vr.gateway.same_site import SiteRules
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.process.logs import request_id
@@ -60,15 +59,10 @@ class _Exchange:
 class RequestMiddleware:
     """The outermost layer of the app: adds ids and headers, limits bodies, counts and logs, answers all exceptions."""
 
-    def __init__(
-        self, app: ASGIApp, *, metrics: Metrics, limits: Limits, audit: AuditLog, settings: GatewaySettings
-    ) -> None:
+    def __init__(self, app: ASGIApp, *, settings: GatewaySettings) -> None:
         self._app = app
-        self._limits = limits
-        self._audit = audit
         self._sites = SiteRules.of(settings)
         self._has_tls = settings.public_url.startswith("https://")  # by a proxy, which may not tell
-        self._metrics = metrics
         self._max_upload_bytes = settings.max_upload_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -85,6 +79,7 @@ class RequestMiddleware:
             request_id.reset(token)
 
     async def _handle(self, scope: Scope, receive: Receive, send: Send, headers: Headers, identity: str) -> None:
+        gateway = gateway_in(scope["app"])
         is_upload = _UPLOADS.fullmatch(scope["path"]) is not None
         exchange = _Exchange(self._limit(is_upload), _UPLOAD_SILENCE_S if is_upload else _SILENCE_S)
 
@@ -105,7 +100,7 @@ class RequestMiddleware:
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 exchange.status = message["status"]
-                await self._audit.record(scope, identity, exchange.status)
+                await gateway.records.audit.record(scope, identity, exchange.status)
                 headers_out = MutableHeaders(scope=message)
                 headers_out.setdefault("X-Content-Type-Options", "nosniff")
                 headers_out.setdefault("Referrer-Policy", "no-referrer")
@@ -133,7 +128,7 @@ class RequestMiddleware:
             self._sites.check(scope["method"], headers)
             _refuse_key_in_url(scope)
             client = scope.get("client")
-            self._limits.spend_address(client[0] if client else "")
+            gateway.access.limits.spend_address(client[0] if client else "")
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
             await self._app(scope, receive_counted, send_unless_refused)
@@ -149,27 +144,24 @@ class RequestMiddleware:
                 raise
             await internal_error(identity).response()(scope, receive, send_with_headers)
         finally:
-            self._count(scope, exchange)
+            _count(gateway, scope, exchange)
 
     def _limit(self, is_upload: bool) -> int:
         return self._max_upload_bytes + _FORM_BYTES if is_upload else _JSON_BYTES
 
-    def _count(self, scope: Scope, exchange: _Exchange) -> None:
-        seconds = time.perf_counter() - exchange.began
-        # The route's template, not the path: one time series per route, not per job.
-        route = getattr(scope.get("route"), "path", "unmatched")
-        self._metrics.observe_response(
-            scope["method"], route, exchange.status, seconds, exchange.received, exchange.streamed
-        )
-        path = mask_shares(mask_keys(scope["path"]))
-        extra = {
-            "method": scope["method"],
-            "path": path,
-            "status": exchange.status,
-            "ms": round(seconds * 1000, 1),
-        }
-        level = logging.DEBUG if PASSING.fullmatch(path) else logging.INFO  # ten lines a second would bury all others
-        _log.log(level, "%s %s %d", scope["method"], path, exchange.status, extra=extra)
+
+def _count(gateway: Gateway, scope: Scope, exchange: _Exchange) -> None:
+    """Count and log a complete answer."""
+    seconds = time.perf_counter() - exchange.began
+    # The route's template, not the path: one time series per route, not per job.
+    route = getattr(scope.get("route"), "path", "unmatched")
+    gateway.metrics.observe_response(
+        scope["method"], route, exchange.status, seconds, exchange.received, exchange.streamed
+    )
+    path = mask_shares(mask_keys(scope["path"]))
+    extra = {"method": scope["method"], "path": path, "status": exchange.status, "ms": round(seconds * 1000, 1)}
+    level = logging.DEBUG if PASSING.fullmatch(path) else logging.INFO  # ten lines a second would bury all others
+    _log.log(level, "%s %s %d", scope["method"], path, exchange.status, extra=extra)
 
 
 def _check_head(scope: Scope) -> None:

@@ -12,8 +12,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from capture2vr.gateway.jobs.job import Job, Order, State
 from capture2vr.gateway.workers.worker_types import WorkerPreset
 from capture2vr.order.asset_names import DESCRIPTION_CHARS, LABEL_CHARS, MOST_LABELS, check_description, check_labels
-from capture2vr.order.edits import NO_EDITS, CutName, Edits, FillName
+from capture2vr.order.edits import LEAST_M, MOST_M, NO_EDITS, Edits
+from capture2vr.order.job_options import JobOptions
 from capture2vr.order.one_line import one_line
+from capture2vr.order.option_table import OPTION_TABLE, CutName, FillName, VisibilityName
 from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
@@ -42,14 +44,11 @@ Labels = Annotated[
     AfterValidator(check_labels),
 ]
 TenantName = Annotated[str, Field(pattern=f"^{TENANT_PATTERN}$", max_length=32)]
-_CUT = (
-    "What to keep. object: without the floor or table and the surroundings; scene: everything that was seen; auto or "
-    "empty: the object if photos were taken around one."
-)
-_EDITS = (
-    "Recipe of what to cut away of the points, which way is up and the true size (docs/edits.md); what it says of cut, "
-    "fill, preset and target holds where the job itself says nothing."
-)
+
+
+def _described(option: str, default: str = "", **limits: Any) -> Any:
+    """A field with the help of the table of options; default: what the API does without it."""
+    return Field(description=OPTION_TABLE[option].text(default), **limits)
 
 
 class JobRequest(BaseModel):
@@ -65,74 +64,34 @@ class JobRequest(BaseModel):
     asset_key: Annotated[
         str, Field(max_length=200, description="Key by which VR clients find the asset: letters, digits and ._-")
     ]
-    preset: Annotated[str, Field(max_length=100, description="A name from GET /v1/presets; empty: the default.")] = ""
+    preset: Annotated[str, _described("preset", "the `default` of GET /v1/presets", max_length=100)] = ""
     label: Annotated[
         str,
-        Field(max_length=LABEL_CHARS, description="A name for people; empty: the asset key."),
+        _described("label", "the asset key", max_length=LABEL_CHARS),
         AfterValidator(one_line),
     ] = ""
     description: Description = ""
     labels: Labels = ()
-    target: Annotated[
-        str, Field(max_length=100, description="Device class whose budget the levels of detail must meet; empty: none.")
-    ] = ""
-    cut: Annotated[CutName, Field(description=_CUT)] = ""
-    longest_m: Annotated[
-        float | None,
-        Field(ge=0.001, le=1_000, description="Metres between the farthest points of the object, if you measured it."),
-    ] = None
-
+    target: Annotated[str, _described("target", "none", max_length=100)] = ""
+    cut: Annotated[CutName, _described("cut")] = ""
+    longest_m: Annotated[float | None, _described("longest_m", ge=LEAST_M, le=MOST_M)] = None
     collection: Annotated[
-        str,
-        Field(
-            max_length=200,
-            description="Collection that lists the asset; empty: the one that the upload named, or that has it.",
-        ),
+        str, _described("collection", "the one that the upload named, or that has the asset", max_length=200)
     ] = ""
-    fill: Annotated[
-        FillName,
-        Field(
-            description="Holes of the mesh to fill. none; unseen: those in its surface that no photo sees "
-            "through; all: also open ends and undersides; empty: unseen for photos and depth, none for clouds."
-        ),
-    ] = ""
-    box: Annotated[
-        list[float] | None,
-        Field(
-            description="Rectangle around the object in a single photo: left, top, right and bottom as shares of the "
-            "upright photo's width and height; null: what stands out, else the largest object near the middle.",
-            examples=[[0.2, 0.1, 0.8, 0.95]],
-        ),
-    ] = None
-    visibility: Annotated[
-        Literal["", "private", "unlisted", "public"],
-        Field(
-            description="Who may read the asset besides its tenant. private: nobody; unlisted: whoever has its "
-            "address; public: everybody; empty: as it is, or as its collection."
-        ),
-    ] = ""
-    edits: Annotated[Edits, Field(description=_EDITS)] = NO_EDITS
+    fill: Annotated[FillName, _described("fill")] = ""
+    box: Annotated[list[float] | None, _described("box", examples=[[0.2, 0.1, 0.8, 0.95]])] = None
+    visibility: Annotated[Literal["", VisibilityName], _described("visibility")] = ""
+    edits: Annotated[Edits, _described("edits")] = NO_EDITS
+
+    @property
+    def options(self) -> JobOptions:
+        """The options as they were sent."""
+        return JobOptions.of({name: getattr(self, name) for name in OPTION_TABLE})
 
     def order(self, preset: str, collection: str) -> Order:
         """Convert to the job's order, with the preset and the collection that were chosen."""
-        return Order(
-            capture=self.capture,
-            asset_key=self.asset_key,
-            label=self.label,
-            description=self.description,
-            labels=self.labels,
-            longest_m=self.longest_m,
-            collection=collection,
-            box=tuple(self.box or ()),
-            visibility=self.visibility,
-            **_choices(
-                self.edits,
-                cut=self.cut or self.edits.cut,
-                fill=self.fill or self.edits.fill,
-                preset=preset,
-                target=self.target or self.edits.target,
-            ),
-        )
+        options = replace(self.options, preset=preset, collection=collection)
+        return Order(self.capture, self.asset_key, options.completed())
 
 
 class JobAgain(BaseModel):
@@ -148,8 +107,8 @@ class JobAgain(BaseModel):
         str | None,
         Field(max_length=100, description="Another capture, such as one that `continues` the earlier job's."),
     ] = None
-    cut: Annotated[CutName | None, Field(description=_CUT)] = None
-    edits: Annotated[Edits | None, Field(description=_EDITS)] = None
+    cut: Annotated[CutName | None, _described("cut")] = None
+    edits: Annotated[Edits | None, _described("edits")] = None
 
     @model_validator(mode="after")
     def _require_change(self) -> JobAgain:
@@ -159,19 +118,13 @@ class JobAgain(BaseModel):
 
     def order(self, earlier: Order) -> Order:
         """Change the order of the earlier job."""
-        changed = self.edits or NO_EDITS
+        options = earlier.options
         if self.capture not in (None, earlier.capture):  # another frame, and no longer one photo
-            earlier = replace(earlier, capture=self.capture, box=(), edits=NO_EDITS)
-        return replace(
-            earlier,
-            **_choices(
-                earlier.edits if self.edits is None else self.edits,
-                cut=(changed.cut or earlier.cut) if self.cut is None else self.cut,
-                fill=changed.fill or earlier.fill,
-                preset=changed.preset or earlier.preset,
-                target=changed.target or earlier.target,
-            ),
-        )
+            earlier = replace(earlier, capture=self.capture)
+            options = replace(options, box=None, edits=NO_EDITS)
+        if self.edits is not None:
+            options = replace(options, edits=self.edits).following_recipe()
+        return replace(earlier, options=options.choosing(cut=options.cut if self.cut is None else self.cut))
 
 
 class ProblemView(BaseModel):
@@ -266,13 +219,13 @@ class JobView(BaseModel):
             fraction=job.fraction,
             elapsed_s=round(job.elapsed_at(now), 3),
             eta_s=job.eta_s,
-            preset=job.order.preset,
+            preset=job.order.options.preset,
             asset_key=job.order.asset_key,
             collection=_collection(job),
             capture=job.order.capture,
-            cut=job.order.cut,
-            edits=job.order.edits.as_json,
-            label=job.order.label,
+            cut=job.order.options.cut,
+            edits=job.order.options.edits.as_json,
+            label=job.order.options.names.label,
             attempts=job.lease.attempts,
             created=datetime.fromtimestamp(job.created, UTC),
             updated=datetime.fromtimestamp(job.updated, UTC),
@@ -363,11 +316,6 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"description": "A problem document (RFC 9457)", "content": content} for status in statuses}
 
 
-def _choices(edits: Edits, **choices: Any) -> dict[str, Any]:
-    """Return the fields of an order that a recipe may say too, and the recipe with what was chosen."""
-    return {**choices, "edits": edits.completed(**choices)}
-
-
 def _published(asset: Mapping[str, Any] | None) -> PublishedView | None:
     return PublishedView.model_validate(asset) if asset else None
 
@@ -375,7 +323,7 @@ def _published(asset: Mapping[str, Any] | None) -> PublishedView | None:
 def _collection(job: Job) -> str:
     """Return the collection that the job names, else the one that the worker has chosen, else ""."""
     published = job.asset or job.preview or {}
-    return job.order.collection or str(published.get("collection", ""))
+    return job.order.options.collection or str(published.get("collection", ""))
 
 
 def _links(job: Job) -> Links:

@@ -16,10 +16,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from capture2vr.order.json_numbers import array_schema, require_number
+from capture2vr.order.option_table import CutName, FillName
 from capture2vr.order.photo_lasso import MOST_LASSOS, PhotoLasso
-
-CutName = Literal["", "auto", "object", "scene"]
-FillName = Literal["", "none", "unseen", "all"]
 
 MOST_BYTES = 60 << 10
 """Most bytes of a recipe: less than a request's body may have (64 KiB); one without lassos has 2 KB, and 30 lassos have

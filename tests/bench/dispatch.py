@@ -35,6 +35,7 @@ from capture2vr.gateway.jobs.row_mapping import event_values, job_values, lease_
 from capture2vr.gateway.jobs.state_machine import create_job
 from capture2vr.gateway.jobs.store import new_job_id
 from capture2vr.gateway.jobs.tables import events, jobs, leases
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
 from tests.bench.data_files import DataMissing
@@ -238,7 +239,7 @@ def _queue(engine: Engine, count: int) -> None:
     made = [
         create_job(
             new_job_id(began + number / 1e3),
-            Order("cap_1", PRESET, f"thing{number}"),
+            Order("cap_1", f"thing{number}", JobOptions(PRESET)),
             tenant=_TENANTS[number % len(_TENANTS)],
             now=began,
         )

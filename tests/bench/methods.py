@@ -83,6 +83,7 @@ def make(points: Floats, settings: Settings) -> Made:
 def product(points: Floats, settings: Settings) -> Made:
     """What a client gets for a bare cloud: the whole pipeline, with its own choice between preview and refined."""
     from capture2vr.edge.capture.nouns import Capture, Cloud
+    from capture2vr.edge.job_resources import JobResources
     from capture2vr.edge.pipeline import PreviewKept, reconstruct
     from capture2vr.edge.preset import load_preset
     from capture2vr.storage.bundle import Bundle
@@ -90,7 +91,9 @@ def product(points: Floats, settings: Settings) -> Made:
     preset = replace(load_preset(settings.method), resolution=settings.resolution)
     remarks: tuple[str, ...] = ()
     seconds: Mapping[str, float] = {}
-    for step in reconstruct(Capture("points", "sampled", Cloud(points)), preset, device=settings.device):
+    for step in reconstruct(
+        Capture("points", "sampled", Cloud(points)), preset, resources=JobResources(settings.device)
+    ):
         if isinstance(step, Bundle):
             bundle, seconds = step, step.manifest["seconds"]
         if isinstance(step, PreviewKept):

@@ -67,9 +67,7 @@ def ways() -> list[Way]:
     began = time.perf_counter()
     preset = replace(load_preset("standard"), resolution=DRESS.resolution)
     bundles = [
-        each
-        for each in reconstruct(Capture("points", "dress", Cloud(points)), preset, device="cpu")
-        if isinstance(each, Bundle)
+        each for each in reconstruct(Capture("points", "dress", Cloud(points)), preset) if isinstance(each, Bundle)
     ]
     seconds = time.perf_counter() - began
     files = bundles[-1].files

@@ -195,6 +195,7 @@ def _measure_points(frames: int, state: Path) -> PointFigures:
 
 def _measure_tiles(frames: int, state: Path) -> TileFigures:
     """Reconstruct a walk with poses, and compare its finest tiles with the truth."""
+    from capture2vr.edge.job_resources import JobResources
     from capture2vr.edge.pipeline import reconstruct
     from capture2vr.edge.preset import load_preset
     from capture2vr.edge.progress import Progress
@@ -206,7 +207,9 @@ def _measure_tiles(frames: int, state: Path) -> TileFigures:
     checkpoint, refined = state / f"{frames}.checkpoint", None
     before, began = cpu_seconds(), time.monotonic()
     said = began
-    for step in reconstruct(read_capture(folder), load_preset("scene-tiles"), checkpoint=checkpoint):
+    for step in reconstruct(
+        read_capture(folder), load_preset("scene-tiles"), resources=JobResources(checkpoint=checkpoint)
+    ):
         if isinstance(step, Bundle):
             refined = step
         elif isinstance(step, Progress) and time.monotonic() - said > _SAY_S:

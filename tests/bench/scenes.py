@@ -145,6 +145,7 @@ def _measure(millions: int, state: Path) -> SceneFigures:
     """Scan, reconstruct and compare one flat; what a killed run has finished, and its times, count."""
     from capture2vr.cli.local.edge_settings import machine_room
     from capture2vr.edge.engine.address import LOCAL, engine_for_parts
+    from capture2vr.edge.job_resources import JobResources
     from capture2vr.edge.pipeline import reconstruct
     from capture2vr.edge.preset import load_preset
     from capture2vr.edge.progress import Progress
@@ -162,7 +163,8 @@ def _measure(millions: int, state: Path) -> SceneFigures:
     clock = _Clock(folder / "spent.json")
     refined = None
     engine = engine_for_parts(LOCAL, machine_room())
-    steps = reconstruct(read_capture(scan), load_preset("scene-tiles"), checkpoint=checkpoint, engine=engine)
+    resources = JobResources(checkpoint=checkpoint, engine=engine)
+    steps = reconstruct(read_capture(scan), load_preset("scene-tiles"), resources=resources)
     with peak_memory() as peak:
         for step in steps:
             if isinstance(step, Bundle):

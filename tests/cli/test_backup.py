@@ -28,6 +28,7 @@ from capture2vr.gateway.database.database import open_engine
 from capture2vr.gateway.database.instance_lock import lock_instance
 from capture2vr.gateway.jobs.job import Order
 from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.catalogue.signing import generate_key
 from capture2vr.storage.local import LocalStore
@@ -76,7 +77,7 @@ class Machine:
         self.environment = {name: str(value) for name, value in {**own, **variables}.items()}
 
     def start(self, service: str) -> ServiceProcess:
-        return ServiceProcess(f"services.{service}", self.folder / f"{service}.log", **self.environment)
+        return ServiceProcess(f"capture2vr.{service}", self.folder / f"{service}.log", **self.environment)
 
     def run(self, *arguments: object) -> str:
         """What a command says, that succeeds."""
@@ -215,7 +216,7 @@ def backups(data: Path, tmp_path: Path) -> Path:
 def fill(data: Path, key: str) -> None:
     (data / "gateway").mkdir(parents=True, exist_ok=True)
     engine = open_engine(f"sqlite:///{data / 'gateway' / 'gateway.db'}")
-    JobStore(engine).create("default", Order("cap_1", "draft", key))
+    JobStore(engine).create("default", Order("cap_1", key, JobOptions("draft")))
     engine.dispose()
     publish(bundle(), LocalStore(data / "store"), key=key)
 

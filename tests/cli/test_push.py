@@ -20,6 +20,7 @@ from capture2vr.cli.progress import StageBar
 from capture2vr.cli.remote import push
 from capture2vr.cli.remote.push import push_capture, upload
 from capture2vr.gateway.workers.worker_client import INSPECT_S
+from capture2vr.order.job_options import JobOptions
 from capture2vr.process.archives import pack
 from tests.support.gateway_process import running
 from tests.support.patience import PATIENCE_S
@@ -115,7 +116,7 @@ def test_a_job_that_is_refused_costs_no_second_upload(
 
         def refused(**options: object) -> str:
             with pytest.raises(BadInput) as failure:
-                push_capture(path, gateway.url, key="scan", label="", options=options)
+                push_capture(path, gateway.url, key="scan", options=JobOptions(**options))
             return str(failure.value)
 
         assert "there is no preset 'magic'" in refused(preset="magic")
@@ -135,7 +136,7 @@ def test_a_job_that_is_refused_costs_no_second_upload(
 
 def test_a_wrong_key_is_told_before_anything_is_sent(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="'a/b' is not a valid asset key"):
-        push_capture(tmp_path, "http://127.0.0.1:9", key="a/b", label="", options={})
+        push_capture(tmp_path, "http://127.0.0.1:9", key="a/b")
 
 
 def test_a_lost_answer_is_asked_for_again_and_the_addresses_that_are_printed_have_one_slash(
@@ -158,7 +159,7 @@ def test_a_lost_answer_is_asked_for_again_and_the_addresses_that_are_printed_hav
     transport = httpx.MockTransport(answer)
     monkeypatch.setattr(push, "client_of", lambda url, **_: httpx.Client(base_url=url, transport=transport))
     (tmp_path / "scan.ply").write_bytes(cloud(1000))
-    push_capture(tmp_path / "scan.ply", "http://gateway:8080/", key="scan", label="", options={})
+    push_capture(tmp_path / "scan.ply", "http://gateway:8080/", key="scan")
     assert capsys.readouterr().err.count("http://gateway:8080/view/scan") == 2
     assert len(asked) == 2
     assert len(set(asked)) == 1

@@ -15,8 +15,10 @@ import trimesh
 from PIL import Image
 
 from capture2vr.cli.errors import BadInput
-from capture2vr.cli.local.run import RunOptions, _read_reference, run_capture, run_preset
+from capture2vr.cli.local.reference_mesh import read_reference
+from capture2vr.cli.local.run import RunOptions, run_capture, run_preset
 from capture2vr.edge.preset import Preset
+from capture2vr.order.job_options import JobOptions
 from tests.referees.glb_reader import Glb
 from tests.support.clouds import write_ply
 
@@ -103,7 +105,7 @@ def test_the_report_tells_figures_seconds_and_warnings(out: Path) -> None:
 def test_a_reference_may_have_polygons_and_relative_indices(tmp_path: Path) -> None:
     squares = [f"v 0 0 {z}\nv 1 0 {z}\nv 1 1 {z}\nv 0 1 {z}\nf -4 -3 -2 -1\n" for z in (0, 5)]
     (tmp_path / "known.obj").write_text("mtllib gone.mtl\n" + "".join(squares))
-    mesh = _read_reference(tmp_path / "known.obj")
+    mesh = read_reference(tmp_path / "known.obj")
     assert [list(each) for each in mesh.vertices[mesh.faces][:, :, 2]] == [[0] * 3] * 2 + [[5] * 3] * 2
 
 
@@ -119,9 +121,9 @@ def test_the_report_tells_how_far_the_reference_is(out: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"v 0 0 0\nv 1 0 0\n", b"\0" * 100])
 def test_a_reference_that_is_no_surface_is_refused_before_any_work(content: bytes, bowl: Path, tmp_path: Path) -> None:
     (tmp_path / "known.obj").write_bytes(content)
-    named = RunOptions(reference=tmp_path / "known.obj")
+    named = RunOptions(JobOptions("draft"), reference=tmp_path / "known.obj", resolution=RESOLUTION)
     with pytest.raises(BadInput, match=r"known\.obj"):
-        run_capture(bowl, tmp_path / "out", named, preset="draft", device="auto", resolution=RESOLUTION)
+        run_capture(bowl, tmp_path / "out", named)
     assert not (tmp_path / "out").exists()
 
 
@@ -148,7 +150,7 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
     archive = tmp_path / "upload.zip"
     with zipfile.ZipFile(archive, "w") as zipped:
         zipped.write(bowl, "top/bowl.ply")
-    run_capture(archive, tmp_path / "out", RunOptions(), preset="draft", device="auto", resolution=RESOLUTION)
+    run_capture(archive, tmp_path / "out", RunOptions(JobOptions("draft"), resolution=RESOLUTION))
     assert (tmp_path / "out" / "mesh.ply").read_bytes() == (out / "mesh.ply").read_bytes()
 
 
@@ -160,7 +162,7 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
     ["cloud_room/fragment.pcd", "rgbd_livingroom", "phone_tof", "dress/dress-v17k-f34k.obj", "car", "milktruck"],
 )
 def test_real_captures_become_assets(capture: str, data_dir: Path, tmp_path: Path) -> None:
-    run_preset(data_dir / capture, tmp_path / "out", COARSE, device="cpu")
+    run_preset(data_dir / capture, tmp_path / "out", COARSE, RunOptions(device="cpu"))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     quality = report["quality"]
     assert quality["non_manifold_edges"] <= 0.001 * 1.5 * quality["triangles"]

@@ -17,12 +17,14 @@ import numpy as np
 import pytest
 
 from capture2vr.cli.errors import BadInput
-from capture2vr.cli.local.run import DEFAULTS, Results, RunOptions, run_preset
+from capture2vr.cli.local.results import Results
+from capture2vr.cli.local.run import RunOptions, run_preset
 from capture2vr.cli.local.run_many import run_captures
 from capture2vr.cli.remote.push import continue_capture, push_capture
 from capture2vr.edge.paper_field.network_config import NetworkConfig
 from capture2vr.edge.preset import Preset, preset_names
 from capture2vr.edge.worker import memory_budget
+from capture2vr.order.job_options import JobOptions
 from capture2vr.process.archives import pack
 from capture2vr.storage.bundle import Bundle, sha256_hex
 from tests.cli.test_run import capture2vr
@@ -33,6 +35,7 @@ from tests.support.repository import ROOT
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
 MESHES = {"mesh.ply", "lod0.glb", "lod1.glb", "lod2.glb"}
+ON_CPU = RunOptions(device="cpu")
 TINY = Preset("tiny", resolution=24, fit=NetworkConfig(warm_start=5, steps=5, warm_up=1, batch=100, pool=2_000))
 
 # A process of its own, which can be killed: enough steps, and a checkpoint soon.
@@ -40,7 +43,7 @@ LONG = """
 import sys
 from pathlib import Path
 import pytest
-from capture2vr.cli.local.run import run_preset
+from capture2vr.cli.local.run import RunOptions, run_preset
 from capture2vr.edge.field import checkpoint
 from capture2vr.edge.paper_field.network_config import NetworkConfig
 from capture2vr.edge.preset import Preset
@@ -48,7 +51,7 @@ from tests.support.small_pictures import draw_small
 checkpoint.SECONDS = 0.2
 draw_small(pytest.MonkeyPatch())
 fit = NetworkConfig(warm_start=5, steps=int(sys.argv[3]), warm_up=1, batch=100, pool=2_000)
-run_preset(Path(sys.argv[1]), Path(sys.argv[2]), Preset("tiny", resolution=24, fit=fit), device="cpu")
+run_preset(Path(sys.argv[1]), Path(sys.argv[2]), Preset("tiny", resolution=24, fit=fit), RunOptions(device="cpu"))
 """
 
 
@@ -270,7 +273,7 @@ def test_a_folder_of_others_stops_a_run_before_it_begins(bowl: Path, tmp_path: P
     (tmp_path / name).mkdir()
     (tmp_path / name / "mine.txt").write_text("mine")
     with pytest.raises(BadInput, match=f"{name} exists and is no result of `capture2vr run`"):
-        run_preset(bowl, tmp_path, TINY, device="cpu")
+        run_preset(bowl, tmp_path, TINY, ON_CPU)
     assert [path.name for path in tmp_path.rglob("*")] == [name, "mine.txt"]
 
 
@@ -285,7 +288,7 @@ def test_a_run_never_replaces_its_capture(bowl: Path, tmp_path: Path) -> None:
         Results(out, "shirt", capture=scan).write(bundle("preview", 0.003))
         assert json.loads((out / "report.json").read_text())["source"] == source  # `convert` spares it
     with pytest.raises(BadInput, match="is the capture: name another folder"):
-        run_preset(tmp_path, tmp_path, TINY, device="cpu")
+        run_preset(tmp_path, tmp_path, TINY, ON_CPU)
 
 
 def test_results_are_not_written_into_the_capture(bowl: Path, tmp_path: Path) -> None:
@@ -293,11 +296,11 @@ def test_results_are_not_written_into_the_capture(bowl: Path, tmp_path: Path) ->
     (tmp_path / "scan").mkdir()
     scan = tmp_path / "scan" / "scan.ply"
     scan.write_bytes(bowl.read_bytes())
-    options = RunOptions(key="bowl")
+    options = replace(ON_CPU, key="bowl")
     with pytest.raises(BadInput, match="out lies in the capture, and would be read as a part of it"):
-        run_preset(scan.parent, scan.parent / "out", TINY, options, device="cpu")
+        run_preset(scan.parent, scan.parent / "out", TINY, options)
     with pytest.raises(BadInput, match="lies in the capture"):
-        run_captures([scan.parent, bowl], scan.parent / "out", DEFAULTS, preset="draft", device="cpu", resolution=0)
+        run_captures([scan.parent, bowl], scan.parent / "out", replace(ON_CPU, job=JobOptions("draft")))
     assert list(tmp_path.rglob("*")) == [scan.parent, scan]
 
 
@@ -307,29 +310,29 @@ def test_results_and_a_gateways_data_are_no_part_of_a_capture(bowl: Path, tmp_pa
     Results(capture / "out", "shirt").write(bundle("preview", 0.003))
     (capture / "scan.ply").write_bytes(bowl.read_bytes())
     with pytest.raises(BadInput, match="scan/out lies in the capture and was made by capture2vr"):
-        run_preset(capture, tmp_path / "out", TINY, device="cpu")
+        run_preset(capture, tmp_path / "out", TINY, ON_CPU)
     (capture / "out").rename(tmp_path / "out")
     (capture / "capture2vr-data" / "gateway").mkdir(parents=True)
     (capture / "capture2vr-data" / "gateway" / "gateway.db").write_bytes(b"")
     with pytest.raises(BadInput, match="capture2vr-data/gateway lies in the capture"):
-        push_capture(capture, "http://127.0.0.1:9", key="scan", label="", options={})
+        push_capture(capture, "http://127.0.0.1:9", key="scan")
     with pytest.raises(BadInput, match="capture2vr-data/gateway lies in the capture"):
         continue_capture(capture, "http://127.0.0.1:9", key="scan", cut=None, edits=None)
     # Results are a mesh like another to whoever names them.
     with pytest.raises(BadInput, match="cannot be reached"):
-        push_capture(tmp_path / "out", "http://127.0.0.1:9", key="scan", label="", options={})
+        push_capture(tmp_path / "out", "http://127.0.0.1:9", key="scan")
 
 
 def test_a_folder_on_a_disk_that_is_away_is_told_before_the_work(bowl: Path, tmp_path: Path) -> None:
     (tmp_path / "out").symlink_to(tmp_path / "disk")
     with pytest.raises(BadInput, match="out is a link to something that is not there"):
-        run_preset(bowl, tmp_path / "out", TINY, device="cpu")
+        run_preset(bowl, tmp_path / "out", TINY, ON_CPU)
 
 
 @pytest.mark.slow
 def test_a_training_run_leaves_both_certificates_and_no_checkpoint(bowl: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run_preset(bowl, out, TINY, device="cpu")
+    run_preset(bowl, out, TINY, ON_CPU)
     names = {path.name for path in out.iterdir()}
     assert {*MESHES, "preview.png", "report.json", "report.html", "bundle"} <= names
     assert "fit.checkpoint" not in names
@@ -392,14 +395,14 @@ def test_a_preset_that_memory_does_not_hold_is_refused_before_any_work(
 ) -> None:
     monkeypatch.setattr(memory_budget, "machine_bytes", lambda: 1 << 20)
     with pytest.raises(BadInput, match=r"preset tiny needs .* GB of memory for 1,500 points") as told:
-        run_preset(bowl, tmp_path / "out", TINY, device="cpu")
+        run_preset(bowl, tmp_path / "out", TINY, ON_CPU)
     assert "capture2vr presets" in str(told.value)
     assert not (tmp_path / "out").exists()
 
 
 def test_a_device_that_is_not_there_is_said_plainly(bowl: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="cuda:97"):
-        run_preset(bowl, tmp_path / "out", TINY, device="cuda:97")
+        run_preset(bowl, tmp_path / "out", TINY, RunOptions(device="cuda:97"))
     assert not (tmp_path / "out").exists()
 
 

@@ -19,7 +19,7 @@ from pydantic import SecretStr
 import capture2vr
 from capture2vr.edge.worker.settings import EdgeSettings
 from capture2vr.gateway.access.api_key import new_secret
-from capture2vr.gateway.app import refuse_without_keys
+from capture2vr.gateway.server import refuse_without_keys
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.process.strict_settings import SettingsError
 from capture2vr.storage.settings import StorageSettings

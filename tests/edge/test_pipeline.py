@@ -12,17 +12,19 @@ import trimesh
 from PIL import Image
 
 from capture2vr.edge.arrays import Tick
-from capture2vr.edge.asset.target import Target, target_of
+from capture2vr.edge.asset.target import TARGETS, Target
 from capture2vr.edge.capture.nouns import Capture, Cloud, Frame, Intrinsics
 from capture2vr.edge.capture_to_points import STARTS
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.export.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
+from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.pipeline import PREVIEW_STARTS, reconstruct
 from capture2vr.edge.preset import Preset, load_preset
 from capture2vr.edge.progress import Progress
 from capture2vr.edge.splats.spz import from_spz
 from capture2vr.edge.splats.surface_splats import Splats
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
 from tests.referees.glb_reader import Glb
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
@@ -45,7 +47,7 @@ def _bowl(points: int = 5000, *, radius: float = 1.0, centre: float = 0.0) -> Ca
 def steps() -> list[Progress | Bundle]:
     """All that one reconstruction says."""
     inside: list[Progress | Bundle] = []
-    for step in reconstruct(_bowl(), load_preset("draft"), names=AssetNames("Bowl"), watch=inside.append):
+    for step in reconstruct(_bowl(), load_preset("draft"), JobOptions(names=AssetNames("Bowl")), watch=inside.append):
         inside.append(step)
     return inside
 
@@ -78,7 +80,7 @@ def test_the_bundle_holds_an_open_bowl_standing_upright(steps: list[Progress | B
 
 
 def test_an_asset_proves_that_it_keeps_within_its_target() -> None:
-    *_, bundle = reconstruct(_bowl(), load_preset("draft"), target=target_of("quest3"))
+    *_, bundle = reconstruct(_bowl(), load_preset("draft"), JobOptions(target="quest3"))
     assert bundle.manifest["target"] == "quest3"
     for level, most in zip(bundle.manifest["lods"], (100_000, 25_000, 5_000), strict=True):
         assert level["bytes"] == len(bundle.files[level["file"]])
@@ -98,7 +100,7 @@ def _printed(points: int = 15_000) -> Capture:
 
 
 def test_what_the_points_know_more_of_than_the_vertices_comes_as_a_texture() -> None:
-    *_, bundle = reconstruct(_printed(), COARSE, target=target_of("quest3"))
+    *_, bundle = reconstruct(_printed(), COARSE, JobOptions(target="quest3"))
     levels = bundle.manifest["lods"]
     assert all(level["texture_bytes"] > 0 for level in levels)
     assert levels[2]["bytes"] <= 300_000
@@ -115,9 +117,13 @@ def test_what_the_points_know_more_of_than_the_vertices_comes_as_a_texture() -> 
     assert (red == odd)[inner].mean() > 0.95
 
 
-def test_textures_come_as_ktx2_where_that_is_asked_for(ktx2: Ktx2Encoder) -> None:  # noqa: F811
-    target = replace(target_of("web-ktx2"), texture_px=128)
-    *_, bundle = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target, encode=ktx2)
+def test_textures_come_as_ktx2_where_that_is_asked_for(
+    ktx2: Ktx2Encoder,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(TARGETS, "web", replace(TARGETS["web"], texture_px=128))
+    preset, options = Preset("coarse", resolution=16), JobOptions(target="web-ktx2")
+    *_, bundle = reconstruct(_printed(5_000), preset, options, JobResources(encode=ktx2))
     assert bundle.manifest["target"] == "web-ktx2"
     assert bundle.manifest["lods"][2]["bytes"] <= 150_000
     for level in bundle.manifest["lods"]:
@@ -128,7 +134,7 @@ def test_textures_come_as_ktx2_where_that_is_asked_for(ktx2: Ktx2Encoder) -> Non
 
 
 def test_ktx2_without_an_encoder_is_refused_before_any_work() -> None:
-    steps = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target_of("quest3-ktx2"))
+    steps = reconstruct(_printed(5_000), Preset("coarse", resolution=16), JobOptions(target="quest3-ktx2"))
     with pytest.raises(EdgeError) as caught:
         next(steps)
     assert caught.value.code == "KTX2_UNAVAILABLE"
@@ -138,7 +144,7 @@ def test_an_encoder_alone_changes_nothing() -> None:
     def fails(picture: np.ndarray, tick: Tick) -> bytes:
         raise AssertionError("nothing is encoded here")
 
-    *_, bundle = reconstruct(_printed(5_000), Preset("coarse", resolution=16), encode=fails)
+    *_, bundle = reconstruct(_printed(5_000), Preset("coarse", resolution=16), resources=JobResources(encode=fails))
     assert bundle.state == "preview"
 
 
@@ -146,7 +152,8 @@ def test_ktx2_that_cannot_be_made_is_an_error_behind_the_preview() -> None:
     def fails(picture: np.ndarray, tick: Tick) -> bytes:
         raise Ktx2Error("ktx2-encoder ended with status 1")
 
-    steps = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target_of("quest3-ktx2"), encode=fails)
+    preset, options = Preset("coarse", resolution=16), JobOptions(target="quest3-ktx2")
+    steps = reconstruct(_printed(5_000), preset, options, JobResources(encode=fails))
     bundle = next(step for step in steps if isinstance(step, Bundle))
     assert bundle.state == "preview"
     assert [level["texture_bytes"] for level in bundle.manifest["lods"]] == [0, 0, 0]
@@ -155,8 +162,9 @@ def test_ktx2_that_cannot_be_made_is_an_error_behind_the_preview() -> None:
         next(steps)
 
 
-def test_a_budget_out_of_reach_is_an_error_behind_the_preview() -> None:
-    steps = reconstruct(_bowl(), COARSE, target=Target("watch", "", (2_000, 1_000), last_bytes=99))
+def test_a_budget_out_of_reach_is_an_error_behind_the_preview(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TARGETS, "watch", Target("watch", "", (2_000, 1_000), last_bytes=99))
+    steps = reconstruct(_bowl(), COARSE, JobOptions(target="watch"))
     bundle = next(step for step in steps if isinstance(step, Bundle))
     assert bundle.state == "preview"
     with pytest.raises(EdgeError, match="LOD 1 has") as caught:
@@ -165,7 +173,7 @@ def test_a_budget_out_of_reach_is_an_error_behind_the_preview() -> None:
 
 
 def test_an_archive_is_for_any_program_and_leaves_no_triangle_out() -> None:
-    *_, bundle = reconstruct(_bowl(), COARSE, target=target_of("archive"))
+    *_, bundle = reconstruct(_bowl(), COARSE, JobOptions(target="archive"))
     glb = trimesh.load(io.BytesIO(bundle.files["lod0.glb"]), file_type="glb", force="mesh")
     full = trimesh.load(io.BytesIO(bundle.files["mesh.ply"]), file_type="ply")
     assert len(glb.faces) >= 0.99 * len(full.faces)
@@ -254,7 +262,7 @@ def test_what_no_depth_shows_is_filled_and_marked_unless_that_is_not_wanted(shee
     assert marked.any()
     off = np.linalg.norm(mesh.vertices[marked] - [0, 0, 1], axis=1)
     assert off.max() < 0.06
-    *_, kept = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96), fill="none")
+    *_, kept = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96), JobOptions(fill="none"))
     assert isinstance(kept, Bundle)
     assert kept.manifest["quality"]["filled_area"] == 0
     assert b"property uchar filled" not in kept.files["mesh.ply"][:400]
@@ -282,7 +290,8 @@ def test_splats_for_which_a_gpu_is_too_full_are_trained_on_the_cpu(monkeypatch: 
         return splats
 
     monkeypatch.setattr("capture2vr.edge.splat_training.train_splats.train_splats", fails_on_a_gpu)
-    *_, bundle = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96, splat_steps=3), device="cuda:0")
+    preset = Preset("coarse", resolution=96, splat_steps=3)
+    *_, bundle = reconstruct(_striped_sheet("dark"), preset, resources=JobResources("cuda:0"))
     assert isinstance(bundle, Bundle)
     assert tried == ["cuda:0", "cpu"]
     assert "splats.spz" in bundle.files

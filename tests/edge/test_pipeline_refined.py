@@ -21,6 +21,7 @@ from capture2vr.edge.certificate import Certificate, QualityVerdict
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.field.config import AnchorConfig
 from capture2vr.edge.field.step import Step
+from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.paper_field import network_fit as fit_module
 from capture2vr.edge.paper_field.network_config import NetworkConfig
 from capture2vr.edge.pipeline import PreviewKept, reconstruct
@@ -210,7 +211,7 @@ def test_a_full_gpu_halves_the_batch_then_trains_on_the_cpu(monkeypatch: pytest.
         yield from perfect_fit(xyz_unit, config)
 
     monkeypatch.setattr(fit_module, "fit_network", fails_on_a_gpu)
-    said = list(reconstruct(bowl(noise=0.01), TINY_PRESET, device="cuda:0", checkpoint=checkpoint))
+    said = list(reconstruct(bowl(noise=0.01), TINY_PRESET, resources=JobResources("cuda:0", checkpoint)))
     assert tried == [("cuda:0", 200, False), ("cuda:0", 100, False), ("cpu", 100, False)]
     refined = bundles(said)[-1].manifest
     assert refined["quality"]["device"] == "cpu"
@@ -233,7 +234,7 @@ def test_a_step_down_finds_the_memory_of_the_failed_try_free(monkeypatch: pytest
         yield from perfect_fit(xyz_unit, config)
 
     monkeypatch.setattr(fit_module, "fit_network", fills_a_gpu)
-    list(reconstruct(bowl(), TINY_PRESET, device="cuda:0"))
+    list(reconstruct(bowl(), TINY_PRESET, resources=JobResources("cuda:0")))
     assert alive == [0, 0, 0]
 
 

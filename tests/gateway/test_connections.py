@@ -25,8 +25,8 @@ GET = b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 @asynccontextmanager
 async def port(folder: Path, **settings: Any) -> AsyncIterator[int]:
     """A gateway's port."""
-    app = create_app(GatewaySettings(data_dir=folder / "gw", workers=(), **settings), LocalStore(folder / "objects"))
-    async with listening(app) as url:
+    told = GatewaySettings(data_dir=folder / "gw", workers=(), **settings)
+    async with listening(create_app(told, LocalStore(folder / "objects")), told) as url:
         yield int(url.rpartition(":")[2])
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
 
 import pytest
 import sqlalchemy as sa
@@ -19,9 +18,11 @@ from capture2vr.gateway.jobs.job import Order
 from capture2vr.gateway.jobs.store import JobStore
 from capture2vr.gateway.jobs.tables import queue_turns
 from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.job_options import JobOptions
 from capture2vr.process.strict_settings import SettingsError
 
-_ORDER = Order("cap_1", "draft", "dress", "Dress")
+_ORDER = Order("cap_1", "dress", JobOptions("draft", names=AssetNames("Dress")))
 _JOB = "job_" + "0" * 32
 
 
@@ -88,7 +89,7 @@ def make_first_schema(url: str) -> None:
                 'INSERT INTO jobs (id, "order", state, stage, fraction, elapsed_s, eta_s, warnings, seconds, '
                 "last_event, created, updated) VALUES (:id, :order, 'QUEUED', '', 0, 0, 0, '[]', '{}', 0, 1, 1)"
             ),
-            {"id": _JOB, "order": json.dumps(asdict(_ORDER))},
+            {"id": _JOB, "order": json.dumps(_ORDER.as_json)},
         )
         db.exec_driver_sql(f"INSERT INTO leases VALUES ('{_JOB}', '', '', 0, 0, 0, 0, 0, false)")
         db.exec_driver_sql(f"INSERT INTO idempotency_keys VALUES ('k', 'sha', '{_JOB}')")

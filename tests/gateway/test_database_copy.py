@@ -25,6 +25,7 @@ from capture2vr.gateway.jobs.store import JobStore
 from capture2vr.gateway.resumable.store import Chunk, UploadStore
 from capture2vr.gateway.webhooks.outbox import Outbox
 from capture2vr.gateway.webhooks.store import WebhookStore
+from capture2vr.order.job_options import JobOptions
 
 RETRY = Retry(3, 0.0)
 
@@ -62,7 +63,10 @@ def fill(engine: sa.Engine) -> dict[str, str]:
     access.set_limits("ada", {"jobs_at_once": 3})
     WebhookStore(engine).create("ada", "https://ada.example/hook", (), "", most=9)
     names = ("ended", "runs", "stops", "waits")
-    made = {name: jobs.create("ada", Order("cap_1", "draft", name, longest_m=0.1), key=name).id for name in names}
+    made = {
+        name: jobs.create("ada", Order("cap_1", name, JobOptions("draft", longest_m=0.1)), key=name).id
+        for name in names
+    }
     for _ in names[:3]:
         jobs.claim(
             time.time(), ["draft"], lambda job: lease_to_worker(job, holder="gw", worker="w", now=1e9, lease_s=9)
@@ -149,7 +153,7 @@ def test_the_restored_database_is_one_to_go_on_with(url: str, target: str, tmp_p
     with opened(target) as engine:
         jobs = JobStore(engine)
         newest = jobs.newest_event_id()
-        new = jobs.create("ada", Order("cap_2", "draft", "new"))
+        new = jobs.create("ada", Order("cap_2", "new", JobOptions("draft")))
         assert jobs.newest_event_id() > newest
         lease = lambda job: lease_to_worker(job, holder="gw", worker="w", now=time.time(), lease_s=9)  # noqa: E731
         claimed = [jobs.claim(time.time() + 1, ["draft"], lease) for _ in range(3)]
@@ -216,7 +220,7 @@ def test_an_older_schema_is_migrated(url: str, target: str, tmp_path: Path) -> N
     open_engine(target).dispose()  # a gateway of now has started on it
     copied(url, target, tmp_path)
     with opened(target) as engine:
-        assert JobStore(engine).get("default", job["id"]).order.preset == "fine"
+        assert JobStore(engine).get("default", job["id"]).order.options.preset == "fine"
         with engine.connect() as db:
             assert schema_of(db) == newest_schema()
             assert db.execute(sa.text("SELECT preset FROM jobs")).scalar_one() == "fine"
@@ -232,7 +236,7 @@ def test_a_database_with_rows_is_refused_and_left_alone(url: str, target: str, t
         fill(engine)
     exported = export_database(url, tmp_path / "database.zip")
     with opened(target) as engine:
-        JobStore(engine).create("default", Order("cap_1", "draft", "mine"))
+        JobStore(engine).create("default", Order("cap_1", "mine", JobOptions("draft")))
         before = rows(engine)
     for refuse in (
         lambda: check_importable(target, exported.schema),
@@ -264,10 +268,10 @@ def test_an_export_is_of_one_moment(url: str, tmp_path: Path, monkeypatch: pytes
 
     with opened(url) as engine:
         jobs, write = JobStore(engine), database_copy._write_table
-        jobs.create("default", Order("cap_1", "draft", "before"))
+        jobs.create("default", Order("cap_1", "before", JobOptions("draft")))
 
         def create_and_write(*arguments: Any) -> int:
-            jobs.create("default", Order("cap_1", "draft", "meanwhile"))
+            jobs.create("default", Order("cap_1", "meanwhile", JobOptions("draft")))
             return write(*arguments)
 
         monkeypatch.setattr(database_copy, "_write_table", create_and_write)

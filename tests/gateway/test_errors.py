@@ -95,8 +95,8 @@ async def test_a_body_that_is_too_large_is_refused_whatever_it_says_of_itself(cl
 
 
 async def test_our_own_faults_tell_only_a_request_id(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    app = _faulty(tmp_path)
-    async with listening(app) as url, httpx.AsyncClient(base_url=url) as client:
+    settings = GatewaySettings(data_dir=tmp_path, open=True)
+    async with listening(_faulty(settings), settings) as url, httpx.AsyncClient(base_url=url) as client:
         answer = await client.get("/fault", headers={"X-Request-ID": "req-7"})
     assert problem(answer) == (500, "INTERNAL")
     assert "req-7" in answer.json()["detail"]
@@ -120,8 +120,8 @@ def test_any_problem_is_json(made: Problem) -> None:
     assert ("file" in document) == bool(made.file)
 
 
-def _faulty(tmp_path: Path) -> FastAPI:
-    app = create_app(GatewaySettings(data_dir=tmp_path, open=True), MemoryStore())
+def _faulty(settings: GatewaySettings) -> FastAPI:
+    app = create_app(settings, MemoryStore())
 
     @app.get("/fault")
     async def fault() -> None:

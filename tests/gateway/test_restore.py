@@ -30,6 +30,7 @@ from capture2vr.gateway.database.database import open_engine
 from capture2vr.gateway.database.instance_lock import lock_instance
 from capture2vr.gateway.jobs.job import Order, State
 from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Head
@@ -46,7 +47,7 @@ def add_jobs(database: Path, *keys: str) -> list[str]:
     engine = open_engine(f"sqlite:///{database}")
     try:
         store = JobStore(engine)
-        return [store.create(DEFAULT_TENANT, Order(capture="cap_1", preset="draft", asset_key=key)).id for key in keys]
+        return [store.create(DEFAULT_TENANT, Order("cap_1", key, JobOptions("draft"))).id for key in keys]
     finally:
         engine.dispose()
 

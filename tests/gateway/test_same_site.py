@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import httpx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +17,7 @@ from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.memory import MemoryStore
 from tests.support.bundles import bundle
-from tests.support.in_process_gateway import gateway, memory
+from tests.support.in_process_gateway import answering, gateway, memory
 
 RULES = SiteRules({"vr.example"}, ("https://app.example",))
 LABEL = st.from_regex(r"[a-z][a-z0-9]{0,8}", fullmatch=True)
@@ -110,6 +109,6 @@ async def test_answers_stay_in_this_site_unless_any_may_read_them(tmp_path: Path
 
 async def test_behind_tls_browsers_stay_with_it(tmp_path: Path) -> None:
     settings = GatewaySettings(data_dir=tmp_path, workers=(), public_url="https://vr.example")
-    transport = httpx.ASGITransport(create_app(settings, MemoryStore()))
-    async with httpx.AsyncClient(transport=transport, base_url="http://vr.example") as client:
-        assert (await client.get("/livez")).headers["strict-transport-security"] == "max-age=31536000"
+    async with answering(create_app(settings, MemoryStore())) as client:
+        answer = await client.get("http://vr.example/livez")
+        assert answer.headers["strict-transport-security"] == "max-age=31536000"

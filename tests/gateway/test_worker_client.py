@@ -24,6 +24,8 @@ from capture2vr.gateway.jobs.reports import AnchorsFound, Report, RunFinished, R
 from capture2vr.gateway.workers.worker_client import WorkerPool, _header, _report
 from capture2vr.gateway.workers.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerUnreachable
 from capture2vr.order.edits import Edits
+from capture2vr.order.job_options import JobOptions
+from capture2vr.order.photo_box import PhotoBox
 from tests.support.in_process_gateway import Making, memory, worker
 from tests.support.patience import CANCEL_S
 
@@ -42,7 +44,7 @@ async def pool(tmp_path: Path, *others: str, **settings: int) -> AsyncIterator[t
 
 
 def job(name: str = "job_1", preset: str = "draft") -> Job:
-    return Job(name, Order("cap_1", preset, "dress"), created=0, updated=0, lease=Lease(fence=1))
+    return Job(name, Order("cap_1", "dress", JobOptions(preset)), created=0, updated=0, lease=Lease(fence=1))
 
 
 async def chunks(archive: bytes, size: int = 7) -> AsyncIterator[bytes]:
@@ -166,14 +168,15 @@ def test_anchor_points_that_cannot_be_shown_are_left_out(xyz_m: list[float], rgb
 
 
 def test_the_header_has_what_was_ordered() -> None:
-    ordered = job()
-    assert not _header(ordered, 7).HasField("box")
-    boxed = replace(ordered, order=replace(ordered.order, box=(0.25, 0.125, 0.75, 1.0)))
-    box = _header(boxed, 7).box
+    def header(**options: object) -> pb.Header:
+        return _header(replace(job(), order=Order("cap_1", "dress", JobOptions(**options))), 7)
+
+    assert not header().HasField("box")
+    box = header(box=PhotoBox(0.25, 0.125, 0.75, 1.0)).box
     assert (box.left, box.top, box.right, box.bottom) == (0.25, 0.125, 0.75, 1.0)
-    assert _header(ordered, 7).edits == ""
+    assert header().edits == ""
     edits = Edits(up=(0.0, 0.0, 1.0), fill="none")
-    assert Edits.parse(_header(replace(ordered, order=replace(ordered.order, edits=edits)), 7).edits) == edits
+    assert Edits.parse(header(edits=edits).edits) == edits
 
 
 async def test_refusals_have_names(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from pydantic import SecretStr
 
 from capture2vr.edge.worker.settings import EdgeSettings
-from capture2vr.gateway.app import serve
+from capture2vr.gateway.server import serve
 from capture2vr.gateway.settings import GatewaySettings, worker_credentials
 from capture2vr.gateway.workers.worker_client import WorkerPool
 from capture2vr.process.grpc_security import ClientCredentials
@@ -70,7 +70,7 @@ def test_wrong_settings_are_named_and_nothing_starts(
     tmp_path: Path, way: dict[str, object], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The logs of this process, which other tests read.
-    monkeypatch.setattr("capture2vr.gateway.app.configure", lambda level: None)
+    monkeypatch.setattr("capture2vr.gateway.server.configure", lambda level: None)
     settings = GatewaySettings(data_dir=tmp_path / "gw", port=0, **way)
     with pytest.raises(SettingsError, match=said):
         worker_credentials(settings)

@@ -16,7 +16,8 @@ from fastapi import FastAPI
 from capture2vr.edge.worker.scratch import Scratch
 from capture2vr.edge.worker.server import EdgeServer
 from capture2vr.edge.worker.settings import EdgeSettings
-from capture2vr.gateway.app import create_app, server_config
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.server import server_config
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Store
@@ -46,16 +47,25 @@ async def worker(work: Making, scratch: Path, *, port: int = 0, **settings: Any)
 async def gateway(data_dir: Path, store: Store, *ports: int, **settings: Any) -> AsyncIterator[httpx.AsyncClient]:
     """A gateway that listens on a real socket; a client of it. Leaves runs alone when it goes, as a restart does."""
     workers = tuple(f"127.0.0.1:{port}" for port in ports) or ("127.0.0.1:9",)
-    told = {**SHORT, "workers": workers, **settings}
-    app = create_app(GatewaySettings(data_dir=data_dir, port=0, **told), store)
-    async with listening(app) as url, httpx.AsyncClient(base_url=url, timeout=PATIENCE_S) as client:
+    told = GatewaySettings(data_dir=data_dir, port=0, **{**SHORT, "workers": workers, **settings})
+    app = create_app(told, store)
+    async with listening(app, told) as url, httpx.AsyncClient(base_url=url, timeout=PATIENCE_S) as client:
         yield client
 
 
 @asynccontextmanager
-async def listening(app: FastAPI) -> AsyncIterator[str]:
+async def answering(app: FastAPI) -> AsyncIterator[httpx.AsyncClient]:
+    """A started app without a socket; a client of it."""
+    transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+    client = httpx.AsyncClient(transport=transport, base_url="http://gateway")
+    async with app.router.lifespan_context(app), client:
+        yield client
+
+
+@asynccontextmanager
+async def listening(app: FastAPI, settings: GatewaySettings) -> AsyncIterator[str]:
     """The app behind uvicorn; its URL."""
-    config = server_config(app, app.state.settings)
+    config = server_config(app, settings)
     config.port, config.timeout_graceful_shutdown = 0, 1
     server = uvicorn.Server(config)
     # serve() would take this process's signal handlers.

@@ -16,6 +16,7 @@ from capture2vr.order.photo_box import PhotoBox
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
 from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.visibility import parse_visibility
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
 
@@ -49,7 +50,7 @@ class Making:
             raise EdgeError(script["fail"], "as it was told", file="a.ply", retryable=script.get("retryable", False))
         for state in ("preview", "refined"):
             bundle = Bundle(state=state, files={"mesh.ply": f"{request.job} {state}".encode()}, manifest={"lods": []})
-            collection = request.collection or DEFAULT_COLLECTION
+            collection = request.options.collection or DEFAULT_COLLECTION
             made = publish(
                 bundle,
                 store_of_tenant(self._store, request.tenant),
@@ -57,7 +58,7 @@ class Making:
                 job=request.job,
                 fence=request.fence,
                 collection=collection,
-                visibility=request.visibility,
+                visibility=parse_visibility(request.options.visibility),
             )
             report(
                 pb.Published(

@@ -18,6 +18,7 @@ from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.preset import load_preset
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
@@ -127,7 +128,7 @@ def bundle() -> Bundle:
     capture = Capture("points", "ply", Cloud(direction * 0.5, rgb), scale_confidence="metric")
     with pytest.MonkeyPatch.context() as patch:
         draw_small(patch)
-        steps = reconstruct(capture, replace(load_preset("draft"), resolution=32), names=AssetNames("Bowl"))
+        steps = reconstruct(capture, replace(load_preset("draft"), resolution=32), JobOptions(names=AssetNames("Bowl")))
         return next(step for step in steps if isinstance(step, Bundle))
 
 

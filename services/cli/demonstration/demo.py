@@ -13,6 +13,7 @@ from capture2vr.cli.remote.pull import pull_asset
 from capture2vr.cli.remote.push import push_capture
 from capture2vr.cli.stop_signals import exit_on_signals, stop_signals
 from capture2vr.cli.up import DEFAULT_PORT, Stack, is_free, run_stack
+from capture2vr.order.job_options import JobOptions
 
 _KEY = "demo-garment"
 _PRESET = "draft"  # no training, so that the demo takes less than a minute
@@ -32,8 +33,8 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     with run_stack("127.0.0.1", _port(), out / "data", wait=False) as stack:
         source = capture or _simulate_capture(out)  # while the services start
         stack.wait_ready()
-        cut = "auto" if capture else "object"
-        job = push_capture(source, stack.url, key=key, label=key, options={"preset": _PRESET, "cut": cut})
+        options = JobOptions(preset=_PRESET, cut="auto" if capture else "object")
+        job = push_capture(source, stack.url, key=key, options=options)
         manifest = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
         (out / "report.json").write_text(json.dumps({"job": job, "asset": manifest}, indent=2) + "\n")
         console.print(f"picture  {out / 'asset' / 'preview.png'}")

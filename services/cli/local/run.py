@@ -2,113 +2,75 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
 import tempfile
-import uuid
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from io import BytesIO
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any
-
-import numpy as np
 
 from capture2vr.cli.errors import BadInput, printable, sentence
 from capture2vr.cli.key_names import check_collection, check_key
-from capture2vr.cli.local.earlier_results import (
-    BUNDLE,
-    PICTURES,
-    PREVIEW,
-    SOURCE,
-    check_capture,
-    files_of_both,
-    folder_of_others,
-    remove_earlier,
-)
-from capture2vr.cli.local.report import report_page
-from capture2vr.cli.progress import StageBar, console, warn
+from capture2vr.cli.local.earlier_results import check_capture, folder_of_others
+from capture2vr.cli.local.reference_mesh import read_reference
+from capture2vr.cli.local.results import Results, print_result
+from capture2vr.cli.progress import StageBar, console
 from capture2vr.edge.arrays import Tick, no_tick
 from capture2vr.edge.asset.target import Target, require_encoder, target_of
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.engine.nouns import OpenEngine
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
-from capture2vr.edge.mesh.fill_gaps import Fill
-from capture2vr.edge.mesh.nouns import Mesh
-from capture2vr.edge.points.nouns import Cut
+from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from capture2vr.order.asset_names import AssetNames
-from capture2vr.order.edits import NO_EDITS, Edits
-from capture2vr.order.photo_box import PhotoBox
+from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
 from capture2vr.process.archives import ArchiveError, is_zip, unpack
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
-from capture2vr.storage.catalogue.publish import PublishedAsset, publish
-from capture2vr.storage.local import LocalStore
 
-_PICTURE = "preview.png"  # name of the picture in bundles of both states
 _READ_AS_IT_IS = (".r3d", ".usdz", ".3mf")
 """Archives that are a file to whoever reads captures: Record3D's, and models, which it names as not readable."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """Options of a run besides the preset.
+    """Options of a run on this machine.
 
+    job        as of a job at a gateway
     key        asset key; "": made from the capture's name
-    collection name of the collection in the bundle's catalogue
-    cut        what to keep: the object without its surroundings, the scene, or what fits the capture
-    longest_m  metres between the farthest points of the object, or None
-    fill       which holes of the mesh are filled; None: by the kind of capture
-    target     device class whose budget the levels of detail must meet; "": none
     reference  a mesh of the same object to measure the result's error, or None
-    box        rectangle of a single photo that the thing lies in, or None
-    edits      recipe of what to cut away, what is up and the scale
+    device     device for training: cpu, cuda, cuda:1, or auto
+    resolution grid cells along the longest side; 0: as in the preset
     """
 
+    job: JobOptions = DEFAULT_OPTIONS
     key: str = ""
-    collection: str = DEFAULT_COLLECTION
-    cut: Cut = "auto"
-    longest_m: float | None = None
-    target: str = ""
     reference: Path | None = None
-    fill: Fill | None = None
-    box: PhotoBox | None = None
-    edits: Edits = NO_EDITS
+    device: str = "auto"
+    resolution: int = 0
 
 
 DEFAULTS = RunOptions()
 
 
 def run_capture(
-    source: Path,
-    out: Path,
-    options: RunOptions,
-    *,
-    preset: str,
-    device: str,
-    resolution: int,
-    engine: OpenEngine | None = None,
-    tick: Tick = no_tick,
+    source: Path, out: Path, options: RunOptions = DEFAULTS, *, engine: OpenEngine | None = None, tick: Tick = no_tick
 ) -> None:
-    """Reconstruct `source` into the folder `out`, with a preset by name. Raises BadInput.
+    """Reconstruct `source` into the folder `out`. Raises BadInput.
 
     engine  works at the tiles of a large scene; None: this process
     """
-    chosen = check_preset(preset)
-    chosen = replace(chosen, resolution=resolution or chosen.resolution)
-    run_preset(source, out, chosen, options, device=device, engine=engine, tick=tick)
+    run_preset(source, out, preset_of(options), options, engine=engine, tick=tick)
 
 
-def check_preset(name: str) -> Preset:
-    """Return the preset of this name. Raises BadInput where there is none."""
+def preset_of(options: RunOptions) -> Preset:
+    """Return the preset that the options name, or their recipe. Raises BadInput where there is none of the name."""
     try:
-        return load_preset(name)
+        preset = load_preset(options.job.completed().preset)
     except EdgeError as error:
         raise BadInput(sentence(error.message, hints=error.hints)) from error
+    return replace(preset, resolution=options.resolution or preset.resolution)
 
 
 def run_preset(
@@ -117,7 +79,6 @@ def run_preset(
     preset: Preset,
     options: RunOptions = DEFAULTS,
     *,
-    device: str = "auto",
     engine: OpenEngine | None = None,
     tick: Tick = no_tick,
 ) -> None:
@@ -128,48 +89,21 @@ def run_preset(
     """
     key = options.key or key_from(source)
     check_key(key)
-    check_collection(options.collection)
+    collection = options.job.collection or DEFAULT_COLLECTION
+    check_collection(collection)
     check_writable(out)
     check_place(out, source)
-    reference = _read_reference(options.reference) if options.reference else None
+    reference = read_reference(options.reference) if options.reference else None
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
-            results = Results(out, key, options.collection, reference, capture=source)
+            results = Results(out, key, collection, reference, capture=source)
             capture = open_source(source, Path(scratch))
-            _reconstruct_into(results, capture, preset, device, options, printable(source.stem), engine, tick)
+            job = replace(options.job, cut=options.job.cut or options.job.edits.cut or "auto", preset=preset.name)
+            job = replace(job.completed(), names=AssetNames(printable(source.stem)))
+            resources = JobResources(options.device, results.checkpoint, engine=engine)
+            _reconstruct_into(results, capture, preset, job, resources, tick)
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_error_sentence(error, source)) from error
-
-
-def _read_reference(path: Path) -> Mesh:
-    """Read the reference mesh from a file. Raises BadInput."""
-    try:
-        mesh = _read_mesh_file(path)
-    except Exception as error:  # the readers of a dozen formats raise any exception
-        raise BadInput(f"{path} cannot be read as a mesh: {error}; name a mesh file with --reference") from error
-    if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
-        raise BadInput(
-            f"{path} has {len(mesh.faces)} faces, or coordinates that are not finite; name a mesh with --reference"
-        )
-    return mesh
-
-
-def _read_mesh_file(path: Path) -> Mesh:
-    from capture2vr.edge.capture.files import Folder
-    from capture2vr.edge.clouds.obj import read_obj
-
-    if path.suffix.lower() == ".obj":  # trimesh takes relative indices for those of the whole file
-        found = read_obj(Folder(path.parent, (path.name,)), path.name)
-        return Mesh(found.vertices.xyz, np.zeros((0, 3), np.int64) if found.surface is None else found.surface.faces)
-    with path.open("rb") as stream:
-        return _read_mesh(stream, path.suffix.lstrip(".").lower())
-
-
-def _read_mesh(stream: IO[bytes], kind: str) -> Mesh:
-    import trimesh
-
-    loaded = trimesh.load_mesh(stream, file_type=kind, process=False)
-    return Mesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64))
 
 
 def key_from(source: Path) -> str:
@@ -214,22 +148,14 @@ def open_source(source: Path, scratch: Path) -> Path:
 
 
 def _reconstruct_into(
-    results: Results,
-    folder: Path,
-    preset: Preset,
-    device: str,
-    options: RunOptions,
-    label: str,
-    engine: OpenEngine | None,
-    tick: Tick,
+    results: Results, folder: Path, preset: Preset, job: JobOptions, resources: JobResources, tick: Tick
 ) -> None:
     from capture2vr.edge.pipeline import PreviewKept, reconstruct
     from capture2vr.edge.progress import Progress
     from capture2vr.edge.read_capture import read_capture
     from capture2vr.edge.tiles.folder import tiles_folder
 
-    target = target_of(options.target)
-    encode = _encoder(target)
+    encode = _encoder(target_of(job.target))
     with StageBar() as bar:
 
         def show(progress: Progress) -> None:
@@ -238,25 +164,8 @@ def _reconstruct_into(
 
         bar.show("VALIDATING", 0.0)
         capture = read_capture(folder)
-        device = _choose_device(preset, capture, device)
-        steps = reconstruct(
-            capture,
-            preset,
-            device=device,
-            checkpoint=results.checkpoint,
-            cut=options.cut,
-            longest_m=options.longest_m,
-            box=options.box,
-            edits=options.edits.completed(
-                cut=options.cut, fill=options.fill or "", preset=preset.name, target=options.target
-            ),
-            fill=options.fill,
-            names=AssetNames(label),
-            target=target,
-            encode=encode,
-            engine=engine,
-            watch=show,
-        )
+        resources = replace(resources, device=_choose_device(preset, capture, resources.device), encode=encode)
+        steps = reconstruct(capture, preset, job, resources, watch=show)
         for step in steps:
             match step:
                 case Bundle():
@@ -268,7 +177,7 @@ def _reconstruct_into(
         bar.show("DONE", 1.0)
     results.checkpoint.unlink(missing_ok=True)
     shutil.rmtree(tiles_folder(results.checkpoint), ignore_errors=True)
-    _print_result(results.out, results.report)
+    print_result(results.out, results.report)
 
 
 def _encoder(target: Target) -> EncodeKtx2 | None:
@@ -308,134 +217,6 @@ def _choose_device(preset: Preset, capture: Capture, device_name: str) -> str:
             )
         console.print(f"preset {preset.name} on {device.description}: at most {takes / 1e9:.2f} GB of memory")
     return device.name
-
-
-class Results:
-    """Writes the results to a folder for the user: the best mesh at the top level, the store's layout in `bundle/`.
-
-    When there is a refined mesh, the files of the preview are moved to `preview/`; the pictures of both stay on top.
-    """
-
-    def __init__(
-        self,
-        out: Path,
-        key: str,
-        collection: str = DEFAULT_COLLECTION,
-        reference: Mesh | None = None,
-        *,
-        capture: Path | None = None,
-    ) -> None:
-        self.out = out
-        self._capture = capture
-        self._collection = collection
-        self._reference = reference
-        self.checkpoint = out / "fit.checkpoint"
-        self.report: dict[str, Any] = {}
-        self._key = key
-        self._job = uuid.uuid4().hex  # one id for both bundles, as a job's preview and refined version have
-        self._pictures: dict[str, bytes] = {}
-        self._compared: dict[str, bytes] = {}
-
-    def write(self, bundle: Bundle) -> None:
-        """Write a bundle's files and update the report. Raises BadInput where the capture would be overwritten."""
-        self._spare_capture(bundle)
-        if bundle.state == "preview":
-            remove_earlier(self.out)
-        else:
-            self._move_preview()
-        self.out.mkdir(parents=True, exist_ok=True)
-        self._pictures[bundle.state] = bundle.files[_PICTURE]
-        for name, content in bundle.files.items():
-            (self.out / (f"{bundle.state}.png" if name == _PICTURE else name)).write_bytes(content)
-        self._compared = dict(bundle.private)
-        for name, content in bundle.private.items():
-            (self.out / name).write_bytes(content)
-        store = LocalStore(self.out / BUNDLE)
-        asset: PublishedAsset = publish(bundle, store, key=self._key, job=self._job, collection=self._collection)
-        quality = bundle.manifest["quality"]
-        self._write_report(
-            {
-                **bundle.manifest,
-                "key": self._key,
-                "state": bundle.state,
-                "version": asset.version,
-                "bytes": {name: len(content) for name, content in bundle.files.items()},
-                PICTURES: sorted(bundle.private),
-                SOURCE: self._source,
-                "reference": self._measure_distance(bundle.files["mesh.ply"]),
-            },
-            quality,
-        )
-
-    @property
-    def _source(self) -> str:
-        """The name of the capture if it lies beside the results; else ""."""
-        found = self._capture
-        return found.name if found and found.resolve().parent == self.out.resolve() else ""
-
-    def _spare_capture(self, bundle: Bundle) -> None:
-        """Raises BadInput where one of the results has the capture's name, in the capture's folder."""
-        names = (*bundle.files, *bundle.private, f"{bundle.state}.png")
-        replaced = (*(self.out / name for name in names), *files_of_both(self.out))
-        if self._capture and any(path.exists() and path.samefile(self._capture) for path in replaced):
-            raise BadInput(f"{self._capture} would be replaced by the result of that name: name another folder with -o")
-
-    def keep_preview(self, warning: str, quality: Mapping[str, Any] | None, seconds: Mapping[str, float]) -> None:
-        """Update the report of a run whose training gave no better mesh, with the rejected mesh's quality figures."""
-        refused = quality or {}
-        report = {**self.report, "seconds": seconds, "warnings": [*self.report["warnings"], warning]}
-        self._write_report(report, {**refused, "preview": self.report["quality"]})
-
-    def _write_report(self, report: dict[str, Any], quality: Mapping[str, Any]) -> None:
-        preview = quality.get("preview", quality)
-        refined = {key: value for key, value in quality.items() if key != "preview"}
-        self.report = {
-            **report,
-            "verdict": quality.get("verdict", ""),
-            "because": quality.get("because", ""),
-            "certificates": {"preview": preview, "refined": refined if "verdict" in quality else None},
-        }
-        (self.out / "report.json").write_text(json.dumps(self.report, indent=2) + "\n")
-        (self.out / "report.html").write_text(
-            report_page(self.report, self._pictures, self._compared), encoding="utf-8"
-        )
-
-    def _measure_distance(self, ply: bytes) -> dict[str, float] | None:
-        """Measure the mesh's distances to the reference; None without one."""
-        from capture2vr.edge.mesh.align_to_reference import overlay
-
-        return asdict(overlay(_read_mesh(BytesIO(ply), "ply"), self._reference)) if self._reference else None
-
-    def _move_preview(self) -> None:
-        (self.out / PREVIEW).mkdir()
-        for name in self.report["bytes"]:
-            if name != _PICTURE:
-                (self.out / name).rename(self.out / PREVIEW / name)
-
-
-def _print_result(out: Path, report: dict[str, Any]) -> None:
-    quality, seconds = report["quality"], report["seconds"]
-    size = " × ".join(f"{side:.3g}" for side in report["size_m"])
-    lods = ", ".join(f"{lod['triangles']:,}" for lod in report["lods"])
-    console.print(
-        f"{report['points']:,} points → {quality['triangles']:,} triangles in {quality['components']:,} pieces, "
-        f"{quality['non_manifold_edges']:,} non-manifold edges; {size} m (scale {report['scale_confidence']})"
-    )
-    console.print(f"LODs {lods} triangles; {sum(seconds.values()):.1f} s in all")
-    if tileset := report.get("tileset"):
-        console.print(f"{tileset['tiles']:,} tiles of {tileset['triangles']:,} triangles together: {tileset['file']}")
-    if report["preset_because"]:
-        console.print(f"preset {report['preset']}: {report['preset_because']}")
-    if report["verdict"] == "better":
-        console.print(f"the refined mesh is better than the preview: {report['because']}")
-    if found := report["reference"]:
-        console.print(
-            f"distance to the reference, after alignment: median {found['median']:.3%} of its size, 90th percentile "
-            f"{found['p90']:.3%}; {found['complete']:.1%} of the reference is within 1 %"
-        )
-    for warning in report["warnings"]:
-        warn(warning)
-    console.print(f"report: {out / 'report.html'}; all figures: {out / 'report.json'}")
 
 
 def _error_sentence(error: EdgeError | ArchiveError, source: Path) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 from capture2vr.cli.errors import BadInput, printable, sentence
 from capture2vr.cli.local.earlier_results import is_run, remove_earlier
 from capture2vr.cli.local.edge_settings import edge_settings, machine_room
-from capture2vr.cli.local.run import RunOptions, check_place, check_preset, check_writable, key_from, run_capture
+from capture2vr.cli.local.run import RunOptions, check_place, check_writable, key_from, preset_of, run_capture
 from capture2vr.cli.progress import StageBar, console
 from capture2vr.edge.arrays import Tick
 from capture2vr.edge.engine.address import open_engine
@@ -23,22 +23,17 @@ from capture2vr.order.edits import NO_EDITS
 _MEMORY_BYTES = 2 << 30  # of one capture: most of the bench's take less (tests/bench/results/pipeline.md)
 
 
-def run_captures(
-    sources: Sequence[Path], out: Path, options: RunOptions, *, preset: str, device: str, resolution: int
-) -> bool:
+def run_captures(sources: Sequence[Path], out: Path, options: RunOptions) -> bool:
     """Reconstruct each capture into a folder of `out` that has its asset key's name; return whether all ended well.
 
     One that cannot be reconstructed is named, and the others go on. Raises BadInput.
     """
-    check_preset(preset)
+    preset_of(options)  # a name that there is not is told at once
     places = _places(sources, out, options)
     settings = edge_settings()
     try:
         with open_engine(settings.engine, machine_room()) as engine:
-            tasks = {
-                out / key: _submit(engine, source, replace(options, key=key), preset, device, resolution)
-                for key, source in places.items()
-            }
+            tasks = {out / key: _submit(engine, source, replace(options, key=key)) for key, source in places.items()}
             with StageBar() as bar:
                 wait_for_all(list(tasks.values()), lambda done: bar.show("RUNNING", done, f"{len(tasks)} captures"))
             written = [_write(place, task) for place, task in tasks.items()]
@@ -47,9 +42,7 @@ def run_captures(
         raise BadInput(sentence(error.message, hints=error.hints)) from error
 
 
-def reconstruct_packed(
-    tick: Tick, packed: bytes, options: RunOptions, preset: str, device: str, resolution: int
-) -> bytes:
+def reconstruct_packed(tick: Tick, packed: bytes, options: RunOptions) -> bytes:
     """Reconstruct a capture that is packed in a tar, on any machine; return its results as a tar. Raises BadInput."""
     console.quiet = True  # who waits for the result shows the progress
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
@@ -57,13 +50,13 @@ def reconstruct_packed(
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
             archive.extractall(source, filter="data")
         (capture,) = source.iterdir()
-        run_capture(capture, out, options, preset=preset, device=device, resolution=resolution, tick=tick)
+        run_capture(capture, out, options, tick=tick)
         return _pack(out, "")
 
 
 def _places(sources: Sequence[Path], out: Path, options: RunOptions) -> dict[str, Path]:
     """Return the captures by their keys. Raises BadInput, so that nothing is found out after an hour."""
-    if options.key or options.reference or options.box or options.edits != NO_EDITS:
+    if options.key or options.reference or options.job.box or options.job.edits != NO_EDITS:
         raise BadInput("--key, --reference, --box and --edits are of one capture: leave them out, or name one capture")
     places: dict[str, Path] = {}
     for source in sources:
@@ -82,12 +75,10 @@ def _places(sources: Sequence[Path], out: Path, options: RunOptions) -> dict[str
     return places
 
 
-def _submit(
-    engine: Engine, source: Path, options: RunOptions, preset: str, device: str, resolution: int
-) -> Submitted[bytes]:
-    needs = Needs(cpus=1, gpus=1 if device.startswith("cuda") else 0, memory_bytes=_MEMORY_BYTES)
+def _submit(engine: Engine, source: Path, options: RunOptions) -> Submitted[bytes]:
+    needs = Needs(cpus=1, gpus=1 if options.device.startswith("cuda") else 0, memory_bytes=_MEMORY_BYTES)
     packed = _pack(source, source.resolve().name)
-    return engine.submit(needs, reconstruct_packed, packed, options, preset, device, resolution)
+    return engine.submit(needs, reconstruct_packed, packed, options)
 
 
 def _pack(path: Path, name: str) -> bytes:

@@ -6,7 +6,7 @@ import json
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,9 @@ from capture2vr.cli.local.earlier_results import check_capture
 from capture2vr.cli.progress import StageBar, console, warn
 from capture2vr.cli.remote.http import client_of
 from capture2vr.cli.remote.resumable_upload import CHECKING, upload_resumably
+from capture2vr.order.edits import Edits
+from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
+from capture2vr.order.photo_box import PhotoBox
 from capture2vr.process.archives import is_zip, pack
 
 _CHUNK_BYTES = 256 << 10  # of the upload; the progress bar moves with each
@@ -36,12 +39,10 @@ def push_capture(
     gateway: str,
     *,
     key: str,
-    label: str,
-    options: Mapping[str, Any],
+    options: JobOptions = DEFAULT_OPTIONS,
 ) -> dict[str, Any]:
     """Upload a capture, start a job, follow it, and return the job when it has ended.
 
-    options: further fields of the job request, by the API's names; None: left out
     Raises BadInput with the gateway's error message.
     """
     gateway = gateway.rstrip("/")
@@ -49,32 +50,30 @@ def push_capture(
         raise BadInput(f"{source}: there is no such file or folder")
     check_capture(source)
     check_key(key)  # before megabytes are uploaded
-    if collection := options.get("collection"):
-        check_collection(collection)
-    request = {"asset_key": key, "label": label or key}
-    request |= {name: value for name, value in options.items() if value is not None}
+    if options.collection:
+        check_collection(options.collection)
+    request = {"asset_key": key, "label": key, **options.given}
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
             create = partial(_create_job, client, "/v1/jobs", request)
-            job = upload(client, source, bar, box=options.get("box"), then=create)
+            job = upload(client, source, bar, box=options.box, then=create)
             job = _followed(client, job, bar, gateway)
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     return _outcome(job, gateway)
 
 
-def continue_capture(
-    source: Path, gateway: str, *, key: str, cut: str | None, edits: Mapping[str, Any] | None
-) -> dict[str, Any]:
+def continue_capture(source: Path, gateway: str, *, key: str, cut: str | None, edits: Edits | None) -> dict[str, Any]:
     """Add photos to the capture of an asset, make its next version, and return the job when it has ended.
 
-    The asset's earlier job says all but `cut` and `edits`. Raises BadInput with the gateway's error message.
+    The asset's earlier job says all but `cut` and `edits`, and those too where they are None. Raises BadInput with the
+    gateway's error message.
     """
     gateway = gateway.rstrip("/")
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
     check_capture(source)
-    request = {name: value for name, value in {"cut": cut, "edits": edits}.items() if value is not None}
+    request = ({} if cut is None else {"cut": cut}) | ({} if edits is None else {"edits": edits.as_json})
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
             earlier = _job_of(client, key)
@@ -130,7 +129,7 @@ def upload(
     source: Path,
     bar: StageBar,
     *,
-    box: Sequence[float] | None = None,
+    box: PhotoBox | None = None,
     continues: str = "",
     then: Callable[[Any], Any] = lambda receipt: receipt,
 ) -> Any:
@@ -139,7 +138,7 @@ def upload(
     A large one goes on where it stopped after a lost connection, or when the same is pushed again, also where `then`
     was refused.
 
-    box        left, top, right, bottom of the thing in a single photo, with which the worker inspects it
+    box        rectangle of the thing in a single photo, with which the worker inspects it
     continues  id of the stored capture whose photos the new one has too; "": none
     """
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
@@ -148,7 +147,7 @@ def upload(
             archive = Path(scratch) / "capture.zip"
             pack(source, archive)
         size = archive.stat().st_size
-        params = {"box": ",".join(map(str, box))} if box else {}
+        params = {"box": ",".join(map(str, box.values))} if box else {}
         params |= {"continues": continues} if continues else {}
         if size >= _RESUMABLE_BYTES:
             told = {"filetype": "application/zip"}

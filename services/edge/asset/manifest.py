@@ -14,12 +14,13 @@ from capture2vr.edge.asset.photo_check import PhotoCheck
 from capture2vr.edge.asset.target import Cost, Target
 from capture2vr.edge.capture_to_points import CaptureSummary
 from capture2vr.edge.certificate import Certificate, Evidence
-from capture2vr.edge.mesh.fill_gaps import Fill, FilledMesh
+from capture2vr.edge.mesh.fill_gaps import FilledMesh
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.points.anchor_points import cluster_anchors
 from capture2vr.edge.points.nouns import Points, UnitFrame
 from capture2vr.edge.preset import Preset
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.option_table import Fill
 
 _TOLD = 0.005  # share of filled surface from which on a person is told
 _DEFAULT_UP = np.array([0.0, 1.0, 0.0])  # as in modelling tools and glTF; scanners that differ say so in their format

@@ -9,7 +9,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.mesh.clean import SPECK
-from capture2vr.edge.mesh.fill_gaps import Fill, FilledMesh, fill_gaps
+from capture2vr.edge.mesh.fill_gaps import FilledMesh, fill_gaps
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.mesh.pieces import Piece, SplitMesh, list_pieces
 from capture2vr.edge.mesh.topology import compact
@@ -28,6 +28,7 @@ from capture2vr.edge.render.photo_comparison import (
 from capture2vr.edge.render.piece_support import piece_support
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.silhouette import outside_outlines
+from capture2vr.order.option_table import Fill
 
 _MOST_OUTLINES = 20
 """Photos that are asked for outlines, evenly chosen: each takes a tenth of a second."""

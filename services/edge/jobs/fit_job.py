@@ -5,24 +5,28 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 from capture2vr.edge.api import edge_pb2 as pb
-from capture2vr.edge.asset.target import target_of
 from capture2vr.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, preview_share
 from capture2vr.edge.engine.nouns import OpenEngine
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import EncodeKtx2
 from capture2vr.edge.field.device import Device
+from capture2vr.edge.job_resources import JobResources
+from capture2vr.edge.jobs.available_presets import capabilities_of
 from capture2vr.edge.pipeline import PreviewKept, bundles
 from capture2vr.edge.preset import AUTOMATIC, Preset, memory_bytes
 from capture2vr.edge.progress import Bar, Progress
+from capture2vr.edge.worker.capabilities import Capabilities
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import Report
 from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.storage.bundle import Bundle, Json
 from capture2vr.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, StaleFence, publish
+from capture2vr.storage.catalogue.visibility import parse_visibility
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
 
@@ -32,8 +36,9 @@ _log = logging.getLogger(__name__)
 class FieldFitter:
     """Fits fields to points on `device`, within the memory budget, and publishes to `store`.
 
-    presets  by name
-    encode   encoder of KTX2 textures, for targets that want them
+    presets  by name, the default first
+    encode   encoder of KTX2 textures; without it, targets that want KTX2 are refused
+    engine   works at the tiles of large scenes; None: this process
     """
 
     def __init__(
@@ -46,13 +51,19 @@ class FieldFitter:
         encode: EncodeKtx2 | None = None,
         engine: OpenEngine | None = None,
     ) -> None:
-        self._store = store
+        self.store = store
         self._encode = encode
         self._engine = engine
         self._publish = publish
-        self._presets = presets
-        self._device = device
+        self.presets = presets
+        self.device = device
         self._memory = memory
+
+    @property
+    def offer(self) -> Capabilities:
+        """The presets that fit in the memory budget, the device and the options that it has."""
+        offer = capabilities_of(self.presets, self.device, self._memory.total_bytes)
+        return replace(offer, ktx2=self._encode is not None)
 
     def fit(
         self, prepared: PreparedPoints, bar: Bar, request: ReconstructionRequest, checkpoint: Path, report: Report
@@ -64,18 +75,13 @@ class FieldFitter:
         """
         steps = bundles(
             prepared,
-            self._presets[request.preset],
+            self.presets[request.options.preset],
             bar,
+            request.options,
+            JobResources(self.device.name, checkpoint, self._encode, self._engine),
             share=preview_share(prepared.source.kind) if bar.reached else PREVIEW_SHARE,
-            device=self._device.name,
-            checkpoint=checkpoint,
-            fill=request.fill,
-            names=request.names,
-            target=target_of(request.target),
-            encode=self._encode,
-            engine=self._engine,
             # Somebody who named a preset wants to know that it needs more; the automatic one makes the best of it.
-            refuse=self._refusal if request.preset == AUTOMATIC else lambda preset, points: "",
+            refuse=self._refusal if request.options.preset == AUTOMATIC else lambda preset, points: "",
         )
         publishing = 0.0
         warnings: Sequence[str] = ()
@@ -90,16 +96,12 @@ class FieldFitter:
                     case Bundle():
                         began = time.perf_counter()
                         asset = self._publish_bundle(step, request, bar.reached, report)
-                        report(_published_message(asset, request.collection))
+                        report(_published_message(asset, request.options.collection))
                         publishing += time.perf_counter() - began
                         warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
                         # Only the preview tells how much memory the fit takes. A preview may come again after the fit.
                         if step.state == "preview" and not has_room:
-                            too_large = self._too_large(step.manifest)
-                            if too_large and request.preset != AUTOMATIC:
-                                raise too_large
-                            if not too_large:
-                                reserved.enter_context(self._reserve_memory(step.manifest, report))
+                            reserved.enter_context(self._make_room(step.manifest, request, report))
                             has_room = True
                     case PreviewKept():
                         warnings, computing = (*warnings, step.warning), step.seconds
@@ -117,12 +119,12 @@ class FieldFitter:
         try:
             return self._publish(
                 bundle,
-                store_of_tenant(self._store, request.tenant),
+                store_of_tenant(self.store, request.tenant),
                 key=request.asset_key,
                 job=request.job,
                 fence=request.fence,
-                collection=request.collection,
-                visibility=request.visibility,
+                collection=request.options.collection,
+                visibility=parse_visibility(request.options.visibility),
                 proceed=lambda: report(publishing),
             )
         except StaleFence:
@@ -145,17 +147,29 @@ class FieldFitter:
     def _too_large(self, manifest: Mapping[str, Json]) -> EdgeError | None:
         """The error MEMORY_EXCEEDED, where the fit after a preview needs more than the whole budget; else None."""
         points, total = int(manifest["points"]), self._memory.total_bytes
-        refusal = self._refusal(self._presets[manifest["preset"]], points)
+        refusal = self._refusal(self.presets[manifest["preset"]], points)
         if not refusal:
             return None
         small = [
-            name for name, each in self._presets.items() if name != AUTOMATIC and self._bytes(each, points) <= total
+            name for name, each in self.presets.items() if name != AUTOMATIC and self._bytes(each, points) <= total
         ]
         return EdgeError(
             "MEMORY_EXCEEDED",
             refusal,
             hints=(f"use one of: {', '.join(small)}", "or a worker with a larger EDGE_MEMORY"),
         )
+
+    def _make_room(
+        self, manifest: Mapping[str, Json], request: ReconstructionRequest, report: Report
+    ) -> AbstractContextManager[None]:
+        """Reserve the memory of the fit after a preview; where it needs more than the whole budget, refuse a preset
+        that was named. The automatic one makes no fit then.
+        """
+        if (too_large := self._too_large(manifest)) is None:
+            return self._reserve_memory(manifest, report)
+        if request.options.preset != AUTOMATIC:
+            raise too_large
+        return nullcontext()
 
     def _reserve_memory(self, manifest: Mapping[str, Json], report: Report) -> AbstractContextManager[None]:
         """Reserve the memory of the fit after a preview, and wait until it is free."""
@@ -164,11 +178,11 @@ class FieldFitter:
 
     def _fit_bytes(self, manifest: Mapping[str, Json]) -> int:
         """Memory that the fit after a preview takes, by the preview's manifest."""
-        return self._bytes(self._presets[manifest["preset"]], int(manifest["points"]))
+        return self._bytes(self.presets[manifest["preset"]], int(manifest["points"]))
 
     def _bytes(self, preset: Preset, points: int) -> int:
         """Memory that a preset's fit or tiles take; 0 where neither follows the preview, which is finished by then."""
-        return memory_bytes(preset, points, self._device.name) if preset.refines else 0
+        return memory_bytes(preset, points, self.device.name) if preset.refines else 0
 
 
 def to_wire(progress: Progress) -> pb.Progress:

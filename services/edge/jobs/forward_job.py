@@ -12,6 +12,7 @@ import grpc
 
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api.grpc_client import RUN_UNKNOWN, GrpcClient, StreamEnded, file_chunks
+from capture2vr.edge.api.header_options import header_fields
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.jobs.central_client import Central, CentralUnavailable
 from capture2vr.edge.worker.job_request import ReconstructionRequest
@@ -40,7 +41,7 @@ def forward(
     CentralUnavailable as long as it has not taken the job, EdgeError for the failure that it reports and CENTRAL_LOST
     (retryable) where the connection does not come back, and Cancelled when `report` does.
     """
-    central.require(request.preset)
+    central.require(request.options.preset)
     _log.info("job %s: sending its points to central at %s", request.job, central.address)
     forwarding = _Forwarding(central, request, begin, report)
     with forwarding.cancelling_central():
@@ -177,24 +178,17 @@ class _Forwarding:
 
 
 def _header(request: ReconstructionRequest, size: int) -> pb.Header:
-    """Header for central: the request, without `cut`, `longest_m`, `box` and `edits`, which are in the points."""
+    """Header for central: the request, without the options that are in the points."""
     return pb.Header(
         job=request.job,
         fence=request.fence,
-        preset=request.preset,
         asset_key=request.asset_key,
-        target=request.target,
         capture_bytes=size,
-        label=request.names.label,
-        description=request.names.description,
-        labels=request.names.labels,
         prepared=True,
-        collection=request.collection,
-        fill=request.fill or "",
         tenant=request.tenant,
         token=request.token,
-        visibility=request.visibility or "",
         capture=request.capture,
+        **header_fields(request.options.without_points()),
     )
 
 

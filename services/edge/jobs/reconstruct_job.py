@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +14,8 @@ from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.arrays import Tick
 from capture2vr.edge.asset.manifest import anchors_m, asset_frame
 from capture2vr.edge.capture_to_points import PreparedPoints, prepare
-from capture2vr.edge.engine.nouns import OpenEngine
 from capture2vr.edge.errors import EdgeError
-from capture2vr.edge.export.ktx2 import EncodeKtx2
-from capture2vr.edge.field.device import Device, own_stream
-from capture2vr.edge.jobs.available_presets import capabilities_of
+from capture2vr.edge.field.device import own_stream
 from capture2vr.edge.jobs.central_client import Central, CentralUnavailable
 from capture2vr.edge.jobs.fit_job import FieldFitter, to_wire
 from capture2vr.edge.jobs.forward_job import forward, resume
@@ -27,18 +24,15 @@ from capture2vr.edge.jobs.make_download import make_download
 from capture2vr.edge.jobs.points_archive import read_prepared
 from capture2vr.edge.jobs.points_cache import load_points, save_points
 from capture2vr.edge.points.nouns import Points
-from capture2vr.edge.preset import AUTOMATIC, Preset
+from capture2vr.edge.preset import AUTOMATIC
 from capture2vr.edge.progress import Bar, Progress
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.worker.capabilities import Capabilities
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import Report
-from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
-from capture2vr.storage.catalogue.publish import Publish, publish
-from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
 
 T = TypeVar("T")
@@ -47,32 +41,17 @@ _log = logging.getLogger(__name__)
 
 
 class Reconstructor:
-    """The worker's `Work`: runs the pipeline and publishes to `store`.
+    """The worker's `Work`: makes the points of a capture, and lets the fitter or central do the rest.
 
-    presets     by name, the default first
     central     fits the field to the points that this worker makes; where it is unavailable, the field is fitted here
     collection  lists the assets whose job names none, wherever they are fitted
-    encode      encoder of KTX2 textures; without it, targets that want KTX2 are refused
-    engine      works at the tiles of large scenes; None: this process
     """
 
     def __init__(
-        self,
-        store: Store,
-        presets: Mapping[str, Preset],
-        device: Device,
-        memory: MemoryBudget,
-        central: Central | None = None,
-        publish: Publish = publish,
-        collection: str = DEFAULT_COLLECTION,
-        encode: EncodeKtx2 | None = None,
-        engine: OpenEngine | None = None,
+        self, fitter: FieldFitter, central: Central | None = None, collection: str = DEFAULT_COLLECTION
     ) -> None:
-        self._store = store
-        self._fitter = FieldFitter(store, presets, device, memory, publish, encode, engine)
-        self._presets = presets
-        self._device = device
-        self._own_offer = replace(capabilities_of(presets, device, memory.total_bytes), ktx2=encode is not None)
+        self._fitter = fitter
+        self._own_offer = fitter.offer
         self._central = central
         self._collection = collection
         self._inspector = Inspector()
@@ -92,8 +71,9 @@ class Reconstructor:
         self, archive: Path, request: ReconstructionRequest, scratch: Path, checkpoint: Path, report: Report
     ) -> pb.Finished:
         """Run the whole job. Raises EdgeError, and Cancelled when `report` does."""
-        request = replace(request, collection=request.collection or self._collection)
-        with own_stream(self._device.name):
+        options = request.options
+        request = replace(request, options=replace(options, collection=options.collection or self._collection))
+        with own_stream(self._fitter.device.name):
             if self._central and not request.prepared:  # prepared points are fitted here: no job is forwarded twice
                 return self._reconstruct_with(self._central, archive, request, scratch, checkpoint, report)
             bar = Bar(lambda progress: report(to_wire(progress)))
@@ -109,7 +89,7 @@ class Reconstructor:
 
     def make_download(self, tenant: str, order: DownloadOrder, scratch: Path, tick: Tick) -> StoredDownload:
         """Convert a published asset to another format. Raises EdgeError DOWNLOAD_* and STORE_UNAVAILABLE."""
-        return make_download(store_of_tenant(self._store, tenant), order, scratch, tick)
+        return make_download(store_of_tenant(self._fitter.store, tenant), order, scratch, tick)
 
     def _reconstruct_with(
         self,
@@ -130,21 +110,21 @@ class Reconstructor:
         seconds = 0.0
         if (prepared := load_points(checkpoint, scratch / "kept")) is None:
             prepared, seconds = self._prepare_points(archive, request, scratch, bar, report)
-            if not self._may_tile(request.preset):
+            if not self._may_tile(request.options.preset):
                 prepared = replace(prepared, points=replace(prepared.points, whole=None))
         try:
             finished = forward(central, save_points(prepared, checkpoint), request, bar.reached, report)
         except CentralUnavailable as unavailable:
             _log.warning("job %s: %s", request.job, unavailable)
-            if not self._own_offer.has(request.preset):
-                raise _unavailable(unavailable, request.preset) from None
+            if not self._own_offer.has(request.options.preset):
+                raise _unavailable(unavailable, request.options.preset) from None
             prepared = _with_warning(prepared, f"{unavailable}: the field was fitted on this worker")
             finished = self._fitter.fit(prepared, bar, request, checkpoint, report)
         return _with_validating(finished, seconds)
 
     def _may_tile(self, preset: str) -> bool:
         """Return whether a preset may make tiles, for which the central worker needs all points of a large scene."""
-        known = self._presets.get(preset)
+        known = self._fitter.presets.get(preset)
         return known is None or known.tiled or preset == AUTOMATIC
 
     def _prepare_points(
@@ -158,17 +138,8 @@ class Reconstructor:
             return read_prepared(archive, scratch / "prepared"), time.perf_counter() - began
         capture = read_capture(unpack_capture(archive, scratch), tick=lambda fraction: report(reading))
         seconds = time.perf_counter() - began
-        refines = self.offer.trains(request.preset)
-        steps = prepare(
-            capture,
-            bar,
-            refines=refines,
-            device=self._device.name,
-            cut=request.cut,
-            longest_m=request.longest_m,
-            box=request.box,
-            edits=request.edits,
-        )
+        refines = self.offer.trains(request.options.preset)
+        steps = prepare(capture, bar, request.options, refines=refines, device=self._fitter.device.name)
         prepared = _run_to_end(steps, report)
         report(_anchor_points(prepared.points))
         return prepared, seconds

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
@@ -25,10 +24,7 @@ from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of
 from capture2vr.edge.mesh.holes import edges_between, triangulate_loop
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
-
-Fill = Literal["none", "unseen", "all"]
-"""Which holes are filled: none; those in a surface that goes on around them, unless views saw through; all that no
-view saw through, also the ends of tubes and undersides."""
+from capture2vr.order.option_table import Fill
 
 MOST_CORNERS = 400
 """Vertices of a loop: the triangulation takes 0.5 s then, and a longer loop is no hole but a border."""

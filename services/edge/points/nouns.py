@@ -20,10 +20,6 @@ from capture2vr.edge.capture.nouns import (
 )
 from capture2vr.order.edits import NO_EDITS, Edits
 
-Cut = Literal["auto", "object", "scene"]
-"""auto: the object where photos were taken around one, else the scene; object: without what it stands on and what
-stands around it; scene: everything that was seen."""
-
 
 @dataclass(frozen=True, slots=True)
 class CutReport:

@@ -191,7 +191,9 @@ class JobQueue:
             run = self._waiting.popleft()
             self._busy.add(run)
             request, extra = run.request, {"job": run.request.job}
-            _log.info("job %s starts: preset %s, key %s", request.job, request.preset, request.asset_key, extra=extra)
+            _log.info(
+                "job %s starts: preset %s, key %s", request.job, request.options.preset, request.asset_key, extra=extra
+            )
             self._start(run)
         if not self._waiting and not self._busy:
             self._idle.set()

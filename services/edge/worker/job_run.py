@@ -128,7 +128,7 @@ class JobRun:
             request = self.request
             with (
                 log_fields(job=request.job, tenant=request.tenant),
-                capture_span("reconstruct", request.capture, job=request.job, preset=request.preset),
+                capture_span("reconstruct", request.capture, job=request.job, preset=request.options.preset),
                 stage_spans() as stages,
             ):
                 return work.reconstruct(

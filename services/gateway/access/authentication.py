@@ -47,12 +47,11 @@ class Authentication:
 
     told_open  let everybody in, whatever keys there are: the operator has said so
     may_open   let everybody in until the first key is created: only this machine can reach the gateway
-
-    It knows no keys until `connect` has given it their store.
+    store      tenants and keys
     """
 
-    def __init__(self, *, told_open: bool, may_open: bool) -> None:
-        self._store: AccessStore | None = None
+    def __init__(self, store: AccessStore, *, told_open: bool, may_open: bool) -> None:
+        self.store = store
         self._told_open = told_open
         self._may_open = may_open
         self._threads = ThreadPoolExecutor(_THREADS, "access")
@@ -60,22 +59,17 @@ class Authentication:
         self._by_id: TTLCache[str, ApiKey | None] = TTLCache(_CACHED_KEYS, CACHE_S)
         self._keyless_until = 0.0
         self._last_used: dict[str, float] = {}
-        self._sessions: URLSafeTimedSerializer | None = None
-
-    def connect(self, store: AccessStore) -> None:
-        """Use this store."""
-        self._store = store
-
-    @property
-    def store(self) -> AccessStore:
-        """The store of tenants and keys."""
-        if self._store is None:
-            raise RuntimeError("the gateway has not been started: its database is not open yet")
-        return self._store
+        self._secrets: dict[str, str] = {}
 
     async def run(self, work: Callable[[], _T]) -> _T:
         """Run a blocking call of the access store on a thread."""
         return await asyncio.get_running_loop().run_in_executor(self._threads, work)
+
+    async def secret(self, name: str) -> str:
+        """Return a secret that all gateways share. It is read once: it never changes."""
+        if name not in self._secrets:
+            self._secrets[name] = await self.run(lambda: self.store.secret(name))
+        return self._secrets[name]
 
     async def caller(self, authorization: str | None, cookie: str | None) -> Caller:
         """Return who makes a request with this `Authorization` header and session cookie.
@@ -175,10 +169,7 @@ class Authentication:
         return key
 
     async def _serializer(self) -> URLSafeTimedSerializer:
-        if self._sessions is None:
-            secret = await self.run(lambda: self.store.secret(_SESSION_SECRET))
-            self._sessions = URLSafeTimedSerializer(secret, salt="capture2vr session")
-        return self._sessions
+        return URLSafeTimedSerializer(await self.secret(_SESSION_SECRET), salt="capture2vr session")
 
 
 def refused(code: str, detail: str, hint: str = "") -> Problem:

@@ -29,24 +29,12 @@ _TOKEN = re.compile(rf"(?P<id>{SHARE_ID})\.[A-Za-z0-9_-]{{43}}", re.ASCII)
 
 
 class Sharing:
-    """Opens share links. Used on the event loop only. It knows no shares until `connect` has given it their store."""
+    """Opens share links. Used on the event loop only. store: all shares"""
 
-    def __init__(self, authentication: Authentication) -> None:
+    def __init__(self, store: ShareStore, authentication: Authentication) -> None:
+        self.store = store
         self._authentication = authentication
-        self._store: ShareStore | None = None
         self._cached: TTLCache[str, Share] = TTLCache(_CACHED, CACHE_S)
-        self._secret = ""
-
-    def connect(self, store: ShareStore) -> None:
-        """Use this store."""
-        self._store = store
-
-    @property
-    def store(self) -> ShareStore:
-        """The store of shares."""
-        if self._store is None:
-            raise RuntimeError("the gateway has not been started: its database is not open yet")
-        return self._store
 
     async def token(self, share: Share) -> str:
         """Return the token of a share, which its link ends with."""
@@ -115,15 +103,10 @@ class Sharing:
         return found
 
     async def _signer(self) -> Signer:
-        return Signer(await self._shared_secret(), salt="capture2vr share", digest_method=hashlib.sha256)
+        return Signer(await self._authentication.secret(_SECRET), salt="capture2vr share", digest_method=hashlib.sha256)
 
     async def _serializer(self) -> URLSafeTimedSerializer:
-        return URLSafeTimedSerializer(await self._shared_secret(), salt="capture2vr opened share")
-
-    async def _shared_secret(self) -> str:
-        if not self._secret:
-            self._secret = await self._authentication.run(lambda: self._authentication.store.secret(_SECRET))
-        return self._secret
+        return URLSafeTimedSerializer(await self._authentication.secret(_SECRET), salt="capture2vr opened share")
 
 
 def mask_shares(text: str) -> str:

@@ -25,6 +25,7 @@ from capture2vr.gateway.database.database import for_writing, open_engine
 from capture2vr.gateway.jobs.job import Job, Lease, Order, State
 from capture2vr.gateway.jobs.row_mapping import job_values, lease_values
 from capture2vr.gateway.jobs.tables import jobs, leases
+from capture2vr.order.job_options import JobOptions
 from capture2vr.process.atomic_write import sync
 from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry
 from capture2vr.storage.catalogue.faults import CatalogueFault
@@ -312,7 +313,7 @@ def _jobs_of(entry: Entry, tenant: str) -> Iterator[Job]:
             "manifest": version["manifest"],
             "collection": collection,
         }
-        order = Order(capture="", preset="", asset_key=entry.key, collection=collection)
+        order = Order("", entry.key, JobOptions(collection=collection))
         yield Job(
             id=str(version["job"]),
             order=order,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from capture2vr.order.edits import NO_EDITS, Edits
+from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
 from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 Json = Mapping[str, Any]
@@ -29,27 +29,25 @@ TERMINAL = frozenset({State.SUCCEEDED, State.FAILED, State.CANCELLED})
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What the client ordered; it never changes."""
+    """What the client ordered: a capture, the key of the asset, and how to make it; it never changes."""
 
     capture: str
-    preset: str
     asset_key: str
-    label: str = ""
-    target: str = ""
-    cut: str = ""  # what to keep: object or scene; "" or auto: the object if the photos were taken around one
-    longest_m: float | None = None  # metres between the object's farthest points, where the user knows it
-    collection: str = ""  # collection that lists the asset; "": the worker's default
-    fill: str = ""  # holes of the mesh to fill: none, unseen or all; "": by the kind of capture
-    box: tuple[float, ...] = ()  # left, top, right, bottom of the thing in a single photo, as shares; (): look for it
-    description: str = ""
-    labels: tuple[str, ...] = ()  # search words of the asset
-    visibility: str = ""  # of the asset: private, unlisted or public; "": as it is, or as its collection
-    edits: Edits = NO_EDITS  # recipe of what to cut away, what is up and the scale
+    options: JobOptions = DEFAULT_OPTIONS
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Order:
+        """Convert a JSON document of `as_json`; one of before `cut` has `isolate`: true, false, or null for "auto"."""
+        options = {name: value for name, value in document.items() if name not in ("capture", "asset_key", "isolate")}
+        isolate = document.get("isolate")
+        cut = "" if isolate is None else "object" if isolate else "scene"
+        return cls(document["capture"], document["asset_key"], JobOptions.of({"cut": cut, **options}))
 
     @property
     def as_json(self) -> dict[str, Any]:
-        """Serialise the order as JSON, for the database and exports."""
-        return {**{name: getattr(self, name) for name in self.__slots__}, "edits": self.edits.as_json}
+        """As the database and exports have it."""
+        options = self.options.as_json
+        return {"capture": self.capture, "preset": options["preset"], "asset_key": self.asset_key, **options}
 
 
 @dataclass(frozen=True, slots=True)

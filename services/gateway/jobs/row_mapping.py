@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -10,7 +9,6 @@ import sqlalchemy as sa
 
 from capture2vr.gateway.jobs.job import Event, Job, Lease, Order, State
 from capture2vr.gateway.jobs.tables import events, jobs, leases
-from capture2vr.order.edits import Edits
 
 WHOLE_JOB = sa.select(jobs, *[column.label(f"lease_{column.name}") for column in leases.c]).join(leases)
 """SELECT of a job joined with its lease: all columns of a Job."""
@@ -26,20 +24,12 @@ def job_from_row(row: sa.Row[Any]) -> Job:
     return Job(
         **{
             **values,
-            "order": _order_of(values["order"]),
+            "order": Order.of(values["order"]),
             "state": State(values["state"]),
             "warnings": tuple(values["warnings"]),
             "lease": Lease(**lease),
         }
     )
-
-
-def _order_of(stored: Mapping[str, Any]) -> Order:
-    """Convert a stored order. One of before `cut` has `isolate` instead: true, false, or null for "auto"."""
-    values = {**stored, **{name: tuple(stored.get(name, ())) for name in ("box", "labels")}}  # JSON has lists only
-    values["edits"] = Edits.of(stored.get("edits") or {})
-    isolate = values.pop("isolate", None)
-    return Order(**{"cut": {True: "object", False: "scene"}.get(isolate, ""), **values})
 
 
 def job_values(job: Job) -> dict[str, Any]:

@@ -20,7 +20,9 @@ def webhook_events(job: Job, events: Iterable[nouns.Event]) -> list[Event]:
 def _webhook_event(job: Job, event: nouns.Event) -> Event | None:
     name = f"{job.id} {event.seq}"
     if event.kind == "published":
-        return Event("asset.published", name, {**event.data["asset"], "job": job.id, "label": job.order.label})
+        return Event(
+            "asset.published", name, {**event.data["asset"], "job": job.id, "label": job.order.options.names.label}
+        )
     if event.kind == "state" and job.state in _TOLD:
         return Event(f"job.{job.state.lower()}", name, _job_data(job))
     return None
@@ -32,7 +34,7 @@ def _job_data(job: Job) -> dict[str, Any]:
         "state": job.state,
         "asset_key": job.order.asset_key,
         "capture": job.order.capture,
-        "preset": job.order.preset,
+        "preset": job.order.options.preset,
         "asset": job.asset or job.preview,
         "error": job.error,
     }

@@ -21,7 +21,7 @@ class PictureProcesses:
     """Shrinks photos, a few at once, each in a process that ends with it. The first one starts their server."""
 
     def __init__(self) -> None:
-        self._at_once: CapacityLimiter | None = None
+        self._at_once = CapacityLimiter(_AT_ONCE)
         self._server = ForkServer.of("capture2vr.gateway.pictures.shrink_work")
 
     def close(self) -> None:
@@ -34,8 +34,6 @@ class PictureProcesses:
 
         read  returns the name of its file, for the message, and its bytes; called once there is a place for them
         """
-        if self._at_once is None:  # belongs to the event loop that serves the requests
-            self._at_once = CapacityLimiter(_AT_ONCE)
         async with self._at_once:
             name, photo = await read()
             try:

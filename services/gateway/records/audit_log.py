@@ -83,19 +83,16 @@ class AuditStore:
 
 
 class AuditLog:
-    """Records requests. Event loop only. It records nothing until `connect` has given it a store."""
+    """Records requests. Event loop only. store: the rows"""
 
-    def __init__(self) -> None:
-        self._store: AuditStore | None = None
+    def __init__(self, store: AuditStore) -> None:
+        self.store = store
+        self._is_closed = False
         self._thread = ThreadPoolExecutor(1, "audit")
 
-    def connect(self, store: AuditStore) -> None:
-        """Connect the log to its store, into which rows are written from now on."""
-        self._store = store
-
     def close(self) -> None:
-        """Wait for rows in progress, then end the thread."""
-        self._store = None
+        """Wait for rows in progress, then end the thread. From here on nothing is recorded."""
+        self._is_closed = True
         self._thread.shutdown()
 
     async def record(self, scope: Mapping[str, Any], request: str, status: int) -> None:
@@ -104,9 +101,9 @@ class AuditLog:
         A database that fails costs the row, not the answer: what was done is done.
         """
         caller: Caller | None = scope.get("state", {}).get("caller")
-        if self._store is None or not _belongs(scope["method"], scope["path"], caller):
+        if self._is_closed or not _belongs(scope["method"], scope["path"], caller):
             return
-        client, append = scope.get("client"), self._store.append
+        client, append = scope.get("client"), self.store.append
         row = {
             "at": time.time(),
             "tenant": caller.tenant if caller else DEFAULT_TENANT,

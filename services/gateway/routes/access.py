@@ -16,13 +16,13 @@ from capture2vr.gateway.access.authentication import Authentication
 from capture2vr.gateway.access.caller import Caller, Scope, scope_names
 from capture2vr.gateway.access.store import Pairing
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.qr_code import qr_svg
 from capture2vr.gateway.routes.access_rules import (
     ANYONE,
     SESSION_COOKIE,
     TENANT_COOKIE,
     authenticate,
-    authentication_of,
     caller_of,
     needs,
 )
@@ -148,9 +148,9 @@ async def get_session(request: Request) -> SessionView:
 
 
 @router.post("/session", response_model=SessionView, dependencies=[ANYONE], responses=problems(401, 415, 422))
-async def log_in(body: LoginRequest, request: Request, response: Response) -> SessionView:
+async def log_in(body: LoginRequest, request: Request, gateway: GatewayOf, response: Response) -> SessionView:
     """Log a browser in with an access key: it gets a session cookie, which scripts cannot read."""
-    key = await authentication_of(request).check_secret(body.key)
+    key = await gateway.access.authentication.check_secret(body.key)
     return SessionView.of(await _set_session(key, request, response))
 
 
@@ -170,9 +170,9 @@ async def log_out(request: Request) -> Response:
     dependencies=[needs(*Scope)],
     responses=problems(403, 409, 415, 422),
 )
-async def create_pairing(body: PairingRequest, request: Request) -> NewPairingView:
+async def create_pairing(body: PairingRequest, request: Request, gateway: GatewayOf) -> NewPairingView:
     """Start to pair a device: it gets a key of its own, with scopes that the caller has."""
-    caller, authentication = caller_of(request), authentication_of(request)
+    caller, authentication = caller_of(request), gateway.access.authentication
     _require_keys(caller)
     _require_own_scopes(caller, body.scopes)
     expires = await _latest(authentication, caller, time.time() + body.expires_days * _DAY_S)
@@ -188,9 +188,9 @@ async def create_pairing(body: PairingRequest, request: Request) -> NewPairingVi
 @router.get(
     "/pairings/{pairing}", response_model=PairingView, dependencies=[needs(*Scope)], responses=problems(404, 422)
 )
-async def get_pairing(pairing: PairingId, request: Request) -> PairingView:
+async def get_pairing(pairing: PairingId, request: Request, gateway: GatewayOf) -> PairingView:
     """Get a pairing, to see whether the device has used it."""
-    authentication, tenant = authentication_of(request), caller_of(request).tenant
+    authentication, tenant = gateway.access.authentication, caller_of(request).tenant
     found = await authentication.run(lambda: authentication.store.pairing(pairing, tenant))
     if found is None:
         raise Problem(404, "PAIRING_UNKNOWN", f"there is no pairing {pairing}", hints=("start a new one",))
@@ -200,13 +200,13 @@ async def get_pairing(pairing: PairingId, request: Request) -> PairingView:
 @router.post(
     "/pairings/claim", response_model=SessionView, dependencies=[ANYONE], responses=problems(404, 415, 422, 429)
 )
-async def claim_pairing(body: ClaimRequest, request: Request, response: Response) -> SessionView:
+async def claim_pairing(body: ClaimRequest, request: Request, gateway: GatewayOf, response: Response) -> SessionView:
     """Log this device in by a pairing's token or code. Each works once, for a few minutes."""
     if bool(body.token) == bool(body.code):
         raise Problem(422, "REQUEST_INVALID", "send either `token` or `code`", hints=("open the link again",))
-    authentication = authentication_of(request)
+    authentication = gateway.access.authentication
     if body.code:
-        request.app.state.code_guesses.spend(request)
+        gateway.access.code_guesses.spend(request)
     claimed = await authentication.run(lambda: authentication.store.claim_pairing(token=body.token, code=body.code))
     if claimed is None:
         detail = "this code is wrong, or was used, or has expired"
@@ -222,9 +222,9 @@ async def claim_pairing(body: ClaimRequest, request: Request, response: Response
     dependencies=[needs(Scope.MANAGE, Scope.OPERATE)],
     responses=problems(403, 404, 409, 415, 422),
 )
-async def create_key(body: KeyRequest, request: Request) -> NewKeyView:
+async def create_key(body: KeyRequest, request: Request, gateway: GatewayOf) -> NewKeyView:
     """Create an access key. Its secret is in this answer and nowhere else."""
-    caller, authentication = caller_of(request), authentication_of(request)
+    caller, authentication = caller_of(request), gateway.access.authentication
     _require_keys(caller)
     tenant = _tenant_for(caller, body.tenant)
     _require_own_scopes(caller, body.scopes)
@@ -243,6 +243,7 @@ async def create_key(body: KeyRequest, request: Request) -> NewKeyView:
 )
 async def list_keys(
     request: Request,
+    gateway: GatewayOf,
     tenant: Annotated[
         str, Query(pattern=rf"^(\*|{TENANT_PATTERN})?$", description="Whose, for operators; * for all; empty: own.")
     ] = "",
@@ -250,7 +251,7 @@ async def list_keys(
     after: Annotated[str, Query(pattern=r"^(key_[0-9a-f]{1,60})?$", description="`next` of the previous page.")] = "",
 ) -> KeyPage:
     """List access keys, the oldest first, with those that were revoked or have expired."""
-    caller, authentication = caller_of(request), authentication_of(request)
+    caller, authentication = caller_of(request), gateway.access.authentication
     wanted = None if tenant == "*" and Scope.OPERATE in caller.scopes else _tenant_for(caller, tenant or None)
     found = await authentication.run(lambda: authentication.store.list_keys(wanted, limit=limit + 1, after=after))
     keys = [KeyView.of(key) for key in found[:limit]]
@@ -263,9 +264,9 @@ async def list_keys(
     dependencies=[needs(Scope.MANAGE, Scope.OPERATE)],
     responses=problems(404, 422),
 )
-async def revoke_key(key: KeyId, request: Request) -> KeyView:
+async def revoke_key(key: KeyId, request: Request, gateway: GatewayOf) -> KeyView:
     """Revoke an access key: within a minute it is refused everywhere, and its browser sessions end."""
-    caller, authentication = caller_of(request), authentication_of(request)
+    caller, authentication = caller_of(request), gateway.access.authentication
     revoked = await authentication.run(lambda: authentication.store.revoke_key(key, _reach(caller)))
     if revoked is None:
         raise _unknown_key(key)
@@ -280,9 +281,9 @@ async def revoke_key(key: KeyId, request: Request) -> KeyView:
     dependencies=[needs(Scope.MANAGE, Scope.OPERATE)],
     responses=problems(403, 404, 409, 415, 422),
 )
-async def rotate_key(key: KeyId, body: RotationRequest, request: Request) -> NewKeyView:
+async def rotate_key(key: KeyId, body: RotationRequest, request: Request, gateway: GatewayOf) -> NewKeyView:
     """Replace an access key by a new one with the same scopes; the old one goes on for the days of grace."""
-    caller, authentication = caller_of(request), authentication_of(request)
+    caller, authentication = caller_of(request), gateway.access.authentication
     store = authentication.store
     old = await authentication.run(lambda: store.key(key))
     if old is None or _reach(caller) not in (None, old.tenant):
@@ -308,7 +309,7 @@ async def _new_key(
 
 async def _set_session(key: ApiKey, request: Request, response: Response) -> Caller:
     """Give the browser a session cookie; return who it is from now on, also for the audit log."""
-    cookie, seconds = await authentication_of(request).sign_session(key)
+    cookie, seconds = await gateway_of(request).access.authentication.sign_session(key)
     secure = gateway_url(request).startswith("https:")
     response.set_cookie(
         SESSION_COOKIE,

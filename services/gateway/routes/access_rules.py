@@ -12,10 +12,11 @@ from fastapi import Depends, Request
 from fastapi.routing import APIRoute
 from starlette.routing import BaseRoute
 
-from capture2vr.gateway.access.authentication import Authentication, refused
+from capture2vr.gateway.access.authentication import refused
 from capture2vr.gateway.access.caller import Caller, Scope, scope_names
 from capture2vr.gateway.access.limits import TenantLimits
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import gateway_of
 from capture2vr.gateway.schemas import problems
 
 SESSION_COOKIE = "c2v_session"
@@ -33,7 +34,7 @@ class Rule:
         if not self.scopes:
             return
         caller = await authenticate(request)
-        request.state.rate_limit = await request.app.state.limits.spend(caller)
+        request.state.rate_limit = await gateway_of(request).access.limits.spend(caller)
         if not caller.scopes & self.scopes:
             raise missing_scope(caller, self.scopes)
 
@@ -47,16 +48,10 @@ ANYONE = Depends(Rule(frozenset()))
 """The dependency of a route that anyone may ask: pages without data, and logging in."""
 
 
-def authentication_of(request: Request) -> Authentication:
-    """Return the app's authentication."""
-    authentication: Authentication = request.app.state.authentication
-    return authentication
-
-
 async def authenticate(request: Request) -> Caller:
     """Return who makes the request, and keep it for `caller_of`. Raises Problem for a key or cookie that is refused."""
     cookie = request.cookies.get(SESSION_COOKIE)
-    caller = await authentication_of(request).caller(request.headers.get("authorization"), cookie)
+    caller = await gateway_of(request).access.authentication.caller(request.headers.get("authorization"), cookie)
     request.state.caller = caller
     return caller
 
@@ -69,9 +64,8 @@ def caller_of(request: Request) -> Caller:
 
 async def limits_of(request: Request) -> TenantLimits:
     """Return the limits of the caller's tenant; none for a caller without a key."""
-    caller, limits = caller_of(request), request.app.state.limits
-    found: TenantLimits = await limits.of(caller.tenant) if caller.key else TenantLimits()
-    return found
+    caller = caller_of(request)
+    return await gateway_of(request).access.limits.of(caller.tenant) if caller.key else TenantLimits()
 
 
 def check_rules(routes: Iterable[BaseRoute]) -> None:

@@ -15,9 +15,10 @@ from pydantic import BaseModel
 
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.jobs.collection_choice import require_collection
 from capture2vr.gateway.qr_code import qr_svg
-from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.routes.http_ranges import etag_matches
 from capture2vr.gateway.routes.read_rules import READS_ASSET, Reading, reading_of, unknown_asset
 from capture2vr.gateway.routes.store_access import gateway_url, in_thread, object_url, page_path, store_of
@@ -78,6 +79,7 @@ class AssetRemovalView(BaseModel):
 @router.get("/assets", response_model=AssetPage, dependencies=[needs(Scope.READ)], responses=problems(422, 503))
 async def list_assets(
     request: Request,
+    gateway: GatewayOf,
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
     after: Annotated[str, Query(max_length=100, description="`next` of the previous page; empty: first page.")] = "",
 ) -> AssetPage:
@@ -87,7 +89,7 @@ async def list_assets(
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
     store = store_of(request)
     entries, damaged = await in_thread(lambda: _entries(store, after, limit))
-    request.app.state.metrics.observe_damage("entry", len(damaged))
+    gateway.metrics.observe_damage("entry", len(damaged))
     last = entries[-1].key if len(entries) == limit else None
     return AssetPage(assets=[_summary(request, each) for each in entries], next=last, damaged=damaged)
 
@@ -209,7 +211,7 @@ async def _set_removed(
     request: Request, key: str, change: Callable[[Store, str, Keys], Entry], collection: str
 ) -> AssetRemovalView:
     check_key(key)
-    store, keys = store_of(request), request.app.state.keys
+    store, keys = store_of(request), gateway_of(request).keys
     try:
         if collection:
             _check_collection(await in_thread(lambda: read_entry(store, key)), collection)
@@ -224,9 +226,9 @@ async def _tell_webhooks(request: Request, found: Entry) -> None:
     """Tell the tenant's webhooks that an asset was removed or restored; a repeated request tells it once."""
     data = {"key": found.key, "version": found.version, "updated": found.document["updated"]}
     event = Event(f"asset.{'removed' if found.removed else 'restored'}", json.dumps(data, sort_keys=True), data)
-    outbox, tenant = request.app.state.outbox, caller_of(request).tenant
-    await authentication_of(request).run(lambda: outbox.enqueue(tenant, event))
-    request.app.state.deliveries.wake()
+    gateway, tenant = gateway_of(request), caller_of(request).tenant
+    await gateway.access.authentication.run(lambda: gateway.webhooks.outbox.enqueue(tenant, event))
+    gateway.webhooks.deliveries.wake()
 
 
 def check_key(key: str) -> None:

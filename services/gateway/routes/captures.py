@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.access.usage import Allowance
 from capture2vr.gateway.errors import Problem
-from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.jobs.capture_objects import (
     capture_bytes,
     capture_name,
@@ -30,7 +30,6 @@ from capture2vr.gateway.photo_boxes import BoxQuery, parse_box
 from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
 from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import problems
-from capture2vr.gateway.uploads.accept import Uploads
 from capture2vr.gateway.uploads.receive import body_of
 
 router = APIRouter(prefix="/v1", tags=["captures"])
@@ -182,7 +181,9 @@ _BODY = {
     responses=problems(400, 404, 408, 413, 415, 422, 429, 503, 507),
     openapi_extra=_BODY,
 )
-async def upload_capture(request: Request, box: BoxQuery = "", continues: Continues = "") -> CaptureView:
+async def upload_capture(
+    request: Request, gateway: GatewayOf, box: BoxQuery = "", continues: Continues = ""
+) -> CaptureView:
     """Upload a capture: photos, a video, a point cloud, or the export of a scanner app, as files or as one zip.
 
     Every file is checked. Locations, serial numbers and names of persons are removed from photos, videos and E57; files
@@ -191,11 +192,11 @@ async def upload_capture(request: Request, box: BoxQuery = "", continues: Contin
     names it again. With `continues` the photos are added to those of an earlier capture, as a new one: a job again with
     it makes the next version of the same asset.
     """
-    caller, limits, usage = caller_of(request), await limits_of(request), request.app.state.usage
+    caller, limits, usage = caller_of(request), await limits_of(request), gateway.access.usage
     tenant = caller.tenant
-    with request.app.state.limits.upload(tenant, limits.uploads_at_once):
+    with gateway.access.limits.upload(tenant, limits.uploads_at_once):
         allowance = await usage.allowance(tenant, limits)
-        uploads, store = uploads_of(request), store_of(request)
+        uploads, store = gateway.captures.uploads, store_of(request)
         body, rectangle = body_of(request), parse_box(box)
         receipt = await uploads.accept(request, body, store, rectangle, allowance.check, new_capture(), continues)
         if caller.key:
@@ -210,22 +211,23 @@ async def upload_capture(request: Request, box: BoxQuery = "", continues: Contin
     responses=problems(400, 408, 413, 415, 422, 429, 503, 507),
     openapi_extra=_BODY,
 )
-async def outline_photo(request: Request, box: BoxQuery = "") -> OutlineView:
-    """Outline the object that would be reconstructed from a single photo, or from a rectangle of it.
+async def outline_photo(request: Request, gateway: GatewayOf, box: BoxQuery = "") -> OutlineView:
+    """Outline the thing that would be reconstructed from a single photo, or from a rectangle of it.
 
     Takes the same body as an upload, and stores nothing. Send the photo itself: a smaller copy may give another
     outline.
     """
     tenant, limits = caller_of(request).tenant, await limits_of(request)
     allowance = Allowance(limits.capture_bytes)  # what is stored does not matter: this is not
-    with request.app.state.limits.upload(tenant, limits.uploads_at_once):
-        found = await uploads_of(request).outline(request, parse_box(box), allowance.check)
+    with gateway.access.limits.upload(tenant, limits.uploads_at_once):
+        found = await gateway.captures.uploads.outline(request, parse_box(box), allowance.check)
     return OutlineView.model_validate(found)
 
 
 @router.get("/captures", response_model=CapturePage, dependencies=[_LISTS], responses=problems(422, 503))
 async def get_captures(
     request: Request,
+    gateway: GatewayOf,
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
     after: Annotated[
         str,
@@ -239,7 +241,7 @@ async def get_captures(
     """List the stored captures, the oldest first."""
     store = store_of(request)
     found, damaged = await in_thread(lambda: list_captures(store, _summary, after=after, limit=limit))
-    request.app.state.metrics.observe_damage("receipt", len(damaged))
+    gateway.metrics.observe_damage("receipt", len(damaged))
     last = found[-1].capture if len(found) == limit else None
     return CapturePage(captures=found, next=last, damaged=damaged)
 
@@ -277,16 +279,15 @@ async def download_capture(capture: CaptureId, request: Request) -> StreamingRes
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 409, 422, 503),
 )
-async def remove_capture(capture: CaptureId, request: Request) -> CaptureDeletionView:
+async def remove_capture(capture: CaptureId, request: Request, gateway: GatewayOf) -> CaptureDeletionView:
     """Delete a capture for good. Assets that were made from it stay; no job can use it again."""
-    job_store: AsyncJobStore = request.app.state.job_store
-    if using := await job_store.read(JobStore.unfinished, caller_of(request).tenant, capture=capture):
+    if using := await gateway.job_store.read(JobStore.unfinished, caller_of(request).tenant, capture=capture):
         detail = f"{len(using)} jobs that have not ended need the capture: {', '.join(using[:3])}"
         raise Problem(409, "CAPTURE_IN_USE", detail, hints=("cancel these jobs, or wait for their end",))
     store = store_of(request)
     freed = await in_thread(lambda: delete_capture(store, capture))
     if (caller := caller_of(request)).key:
-        await request.app.state.usage.add(caller.tenant, -freed)
+        await gateway.access.usage.add(caller.tenant, -freed)
     return CaptureDeletionView(capture=capture, bytes=freed)
 
 
@@ -295,12 +296,3 @@ def _summary(receipt: dict[str, Any]) -> CaptureSummary:
     # An older receipt may lack what was added since.
     known = {"collection": "", "inspected": False, "kind": "", "format": "", "frames": 0, "points": 0, **receipt}
     return CaptureSummary.model_validate({**known, "self": url, "archive": f"{url}/archive"})
-
-
-def uploads_of(request: Request) -> Uploads:
-    """Return the app's `Uploads`, created at the first upload because its limiters belong to the running event loop."""
-    state = request.app.state
-    if not hasattr(state, "uploads"):
-        state.uploads = Uploads(state.settings, state.workers, state.check_processes)
-    uploads: Uploads = state.uploads
-    return uploads

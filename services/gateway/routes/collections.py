@@ -5,9 +5,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from datetime import UTC, datetime
-from functools import lru_cache, partial
+from functools import partial
 from itertools import chain, islice
 from typing import Annotated, Literal, TypeVar
 
@@ -15,6 +15,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel
 
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.jobs.collection_choice import require_collection
 from capture2vr.gateway.routes.access_rules import ANYONE
 from capture2vr.gateway.routes.http_ranges import etag_matches
@@ -24,26 +25,18 @@ from capture2vr.gateway.schemas import problems
 from capture2vr.storage.catalogue.collection import (
     Index,
     Row,
-    Shard,
     index_name,
-    load_shard,
     parse_envelope,
     read_index,
 )
 from capture2vr.storage.catalogue.entry import valid_key
 from capture2vr.storage.catalogue.reader import LoadRows, find_row, retry_if_shard_missing
 from capture2vr.storage.catalogue.row_filter import RowFilter
-from capture2vr.storage.store import NO_CACHE, Store
-from capture2vr.storage.tenant_store import store_of_tenant
+from capture2vr.storage.store import NO_CACHE
 
 router = APIRouter(prefix="/v1", tags=["collections"])
 
-_CACHED_SHARDS = 64  # parsed shards in memory, 0.7 MB each at most: every search reads all shards of its collection
-
 _T = TypeVar("_T")
-
-LoadTenantRows = Callable[[str, Shard], Iterable[Row]]
-"""Reads the rows of a tenant's shard."""
 
 Name = Annotated[
     str,
@@ -103,13 +96,6 @@ class KeyPage(BaseModel):
     """The public keys whose signatures this gateway accepts; if empty, it does not check signatures."""
 
     keys: list[KeyView]
-
-
-def row_cache(store: Store) -> LoadTenantRows:
-    """Return a function that reads the rows of a tenant's shard and caches them: shards are named by hash, and never
-    change.
-    """
-    return lru_cache(maxsize=_CACHED_SHARDS)(lambda tenant, shard: load_shard(store_of_tenant(store, tenant), shard))
 
 
 @router.get(
@@ -204,15 +190,15 @@ async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceV
 
 
 @router.get("/keys", response_model=KeyPage, dependencies=[ANYONE])
-async def list_public_keys(request: Request) -> KeyPage:
+async def list_public_keys(gateway: GatewayOf) -> KeyPage:
     """List the public keys that verify collections; clients store them at their first visit (trust on first use)."""
-    keys = request.app.state.keys.verification_keys
+    keys = gateway.keys.verification_keys
     return KeyPage(keys=[KeyView(key=each.id, ed25519=base64.b64encode(each.raw).decode()) for each in keys])
 
 
 async def _read(request: Request, name: str, take: Callable[[Index], _T]) -> _T:
     """Call `take` with a collection's verified index. Raises Problem COLLECTION_UNKNOWN, and those of `in_thread`."""
-    store, keys = store_of(request), request.app.state.keys.verification_keys
+    store, keys = store_of(request), gateway_of(request).keys.verification_keys
 
     def attempt() -> _T:
         return take(read_index(store.get(index_name(name)), name, keys))
@@ -224,7 +210,7 @@ async def _read(request: Request, name: str, take: Callable[[Index], _T]) -> _T:
 
 
 def _load_rows_of(request: Request) -> LoadRows:
-    return partial(request.app.state.load_rows, reads_tenant(request))
+    return partial(gateway_of(request).load_rows, reads_tenant(request))
 
 
 def _matching_rows(index: Index, rows: LoadRows, wanted: RowFilter, after: str, limit: int) -> list[Row]:

@@ -12,12 +12,12 @@ from pydantic import BaseModel, Field
 
 from capture2vr.gateway.access.caller import Caller, Scope
 from capture2vr.gateway.errors import Problem
-from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.records.audit_log import AuditRecord
 from capture2vr.gateway.records.deletions import Deletion
 from capture2vr.gateway.records.export import export_blocks
-from capture2vr.gateway.records.tenant_data import Retention, TenantData
-from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.records.tenant_data import Retention
+from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.routes.assets import Key, check_key
 from capture2vr.gateway.routes.read_rules import unknown_asset
 from capture2vr.gateway.routes.store_access import in_thread, store_of, store_problems
@@ -123,10 +123,10 @@ class AuditPage(BaseModel):
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 409, 422, 503),
 )
-async def delete_asset(key: Key, request: Request) -> DeletionView:
+async def delete_asset(key: Key, request: Request, gateway: GatewayOf) -> DeletionView:
     """Delete an asset for good, with all its versions, from every collection. Removing only hides it."""
     check_key(key)
-    data = _data_of(request)
+    data = gateway.records.data
     try:
         with store_problems():
             return DeletionView.of(await data.delete_asset(caller_of(request).tenant, key))
@@ -141,7 +141,7 @@ async def delete_asset(key: Key, request: Request) -> DeletionView:
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(409, 415, 422, 503),
 )
-async def delete_everything(body: EverythingRequest, request: Request) -> DeletionView:
+async def delete_everything(body: EverythingRequest, request: Request, gateway: GatewayOf) -> DeletionView:
     """Delete everything that the tenant has: captures, assets, collections and jobs. Export it first, if it is wanted.
 
     Keys, webhooks, receipts and the audit log stay.
@@ -151,27 +151,28 @@ async def delete_everything(body: EverythingRequest, request: Request) -> Deleti
         detail = f"this key is one of the tenant {tenant}, not of {body.tenant}"
         raise Problem(422, "TENANT_MISMATCH", detail, hints=("name the tenant whose data shall go",))
     with store_problems():
-        return DeletionView.of(await _data_of(request).delete_everything(tenant))
+        return DeletionView.of(await gateway.records.data.delete_everything(tenant))
 
 
 @router.get("/deletions", response_model=DeletionPage, dependencies=[needs(Scope.MANAGE, Scope.OPERATE)])
 async def list_deletions(
     request: Request,
+    gateway: GatewayOf,
     tenant: Whose = "",
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
     after: Annotated[str, Query(pattern=r"^(del_[0-9a-f]{1,60})?$", description="`next` of the previous page.")] = "",
 ) -> DeletionPage:
     """List receipts of deletions, oldest first: what a CDN's purge job reads."""
-    whose, deletions = _whose(caller_of(request), tenant), _data_of(request).deletions
-    found = await authentication_of(request).run(lambda: deletions.page(whose, after=after, limit=limit + 1))
+    whose, deletions = _whose(caller_of(request), tenant), gateway.records.data.deletions
+    found = await gateway.access.authentication.run(lambda: deletions.page(whose, after=after, limit=limit + 1))
     views = [DeletionView.of(each) for each in found[:limit]]
     return DeletionPage(deletions=views, next=views[-1].id if len(found) > limit else None)
 
 
 @router.get("/retention", response_model=RetentionView, dependencies=[needs(Scope.MANAGE)])
-async def get_retention(request: Request) -> RetentionView:
+async def get_retention(request: Request, gateway: GatewayOf) -> RetentionView:
     """Get after how many days what of the tenant is deleted."""
-    authentication, tenant = authentication_of(request), caller_of(request).tenant
+    authentication, tenant = gateway.access.authentication, caller_of(request).tenant
     days = await authentication.run(lambda: authentication.store.retention(tenant))
     return RetentionView(**asdict(Retention(**days)))
 
@@ -179,9 +180,9 @@ async def get_retention(request: Request) -> RetentionView:
 @router.put(
     "/retention", response_model=RetentionView, dependencies=[needs(Scope.MANAGE)], responses=problems(415, 422)
 )
-async def set_retention(body: RetentionRequest, request: Request) -> RetentionView:
+async def set_retention(body: RetentionRequest, request: Request, gateway: GatewayOf) -> RetentionView:
     """Set after how many days what of the tenant is deleted. The first deletion may follow within an hour."""
-    authentication, tenant = authentication_of(request), caller_of(request).tenant
+    authentication, tenant = gateway.access.authentication, caller_of(request).tenant
     days = {name: value for name, value in body.model_dump().items() if value}
     await authentication.run(lambda: authentication.store.set_retention(tenant, days))
     return RetentionView(**asdict(Retention(**days)))
@@ -193,11 +194,11 @@ async def set_retention(body: RetentionRequest, request: Request) -> RetentionVi
     dependencies=[needs(Scope.MANAGE)],
     responses={200: {"content": {"application/zip": {}}}, **problems(503)},
 )
-async def export(request: Request) -> StreamingResponse:
+async def export(request: Request, gateway: GatewayOf) -> StreamingResponse:
     """Download everything that the tenant has in one zip: captures, assets in all versions, collections, jobs."""
     tenant, store = caller_of(request).tenant, store_of(request)
     await in_thread(lambda: store.list("", limit=1))  # a store that does not answer is told before the download begins
-    jobs: JobStore = request.app.state.job_store.blocking
+    jobs = gateway.job_store.blocking
     blocks = export_blocks(store, lambda after, limit: jobs.page(tenant, limit=limit, after=after))
     headers = {"Content-Disposition": f'attachment; filename="capture2vr-{tenant}.zip"', **_PRIVATE}
     return StreamingResponse(blocks, headers=headers, media_type="application/zip")
@@ -206,20 +207,16 @@ async def export(request: Request) -> StreamingResponse:
 @router.get("/audit", response_model=AuditPage, dependencies=[needs(Scope.MANAGE, Scope.OPERATE)])
 async def get_audit_log(
     request: Request,
+    gateway: GatewayOf,
     tenant: Whose = "",
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[int, Query(ge=0, lt=1 << 62, description="`next` of the previous page; 0: the newest.")] = 0,
 ) -> AuditPage:
     """Read the audit log, newest first: who changed what, from which address and when."""
-    whose, store = _whose(caller_of(request), tenant), request.app.state.audit_store
-    found = await authentication_of(request).run(lambda: store.page(tenant=whose, before=before, limit=limit + 1))
+    whose, store = _whose(caller_of(request), tenant), gateway.records.audit.store
+    found = await gateway.access.authentication.run(lambda: store.page(tenant=whose, before=before, limit=limit + 1))
     views = [AuditView.of(each) for each in found[:limit]]
     return AuditPage(records=views, next=views[-1].id if len(found) > limit else None)
-
-
-def _data_of(request: Request) -> TenantData:
-    data: TenantData = request.app.state.data
-    return data
 
 
 def _whose(caller: Caller, tenant: str) -> str | None:

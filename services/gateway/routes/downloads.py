@@ -10,6 +10,7 @@ from fastapi.responses import JSONResponse, RedirectResponse
 from pydantic import BaseModel
 
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.routes.assets import Key, read_asset
 from capture2vr.gateway.routes.files import headers_alone
 from capture2vr.gateway.routes.read_rules import READS_ASSET, reading_of, reads_tenant
@@ -105,7 +106,9 @@ async def list_downloads(key: Key, request: Request, response: Response, version
     dependencies=[READS_ASSET],
     responses={202: {"model": DownloadProgress}, **problems(404, 410, 422, 500, 503)},
 )
-async def get_download(key: Key, format_name: FormatQuery, request: Request, version: VersionQuery = None) -> Response:
+async def get_download(
+    key: Key, format_name: FormatQuery, request: Request, gateway: GatewayOf, version: VersionQuery = None
+) -> Response:
     """Redirect to the asset's file in a format for other programs, which is made now if nobody has asked for it before.
 
     A large file takes longer than a request should: then the answer is 202 with Retry-After, and it is there when asked
@@ -114,7 +117,7 @@ async def get_download(key: Key, format_name: FormatQuery, request: Request, ver
     entry = await _read_version(request, key, version)
     order = DownloadOrder(key, str(entry.document["manifest"]["sha256"]), _format_of(entry, format_name))
     with store_problems():
-        found = await request.app.state.downloads.get(reads_tenant(request), order)
+        found = await gateway.downloads.get(reads_tenant(request), order)
     headers = _headers(request, version)
     if found is None:
         body = DownloadProgress(format=format_name, file=order.format.file_name(key, version)).model_dump()

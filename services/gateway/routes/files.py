@@ -15,6 +15,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse, StreamingResponse
 
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.routes.http_ranges import etag_matches, take_range
 from capture2vr.gateway.routes.read_rules import READS_FILE, READS_FOLDER, Reading, reading_of, unknown_file
 from capture2vr.gateway.routes.store_access import in_thread
@@ -37,9 +38,9 @@ _log = logging.getLogger(__name__)
     dependencies=[READS_FILE],
     responses=problems(404, 416, 503),
 )
-async def get_file(name: str, request: Request) -> Response:
+async def get_file(name: str, request: Request, gateway: GatewayOf) -> Response:
     """Get a file of an asset, or a part of it with a Range header. Files under `assets/` never change."""
-    store: Store = request.app.state.store
+    store = gateway.store
     if not isinstance(store, LocalStore):
         redirect = _redirect(store, name)
         # A presigned URL is good for GET alone.
@@ -53,7 +54,7 @@ async def get_file(name: str, request: Request) -> Response:
         return await _small_file(store, head, request)
     if not _is_intact(head):
         _log.error("%s is not what was published: its sha256 is %s", head.name, head.etag)
-        request.app.state.metrics.observe_damage("file")
+        gateway.metrics.observe_damage("file")
         raise _damaged_file(head.name, reading)
     return await _large_file(store, head, request)
 

@@ -16,6 +16,7 @@ from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.backup.scrub import ScrubState
 from capture2vr.gateway.backup.snapshots import Snapshots
 from capture2vr.gateway.database_faults import Fault, fault_of
+from capture2vr.gateway.gateway import Gateway, GatewayOf
 from capture2vr.gateway.jobs.async_store import AsyncJobStore
 from capture2vr.gateway.jobs.store import JobStore
 from capture2vr.gateway.routes.access_rules import ANYONE, authenticate, needs
@@ -40,29 +41,28 @@ async def livez() -> Response:
 @router.get(
     "/readyz", response_model=Readiness, dependencies=[ANYONE], responses={503: {"model": Readiness}, **problems(401)}
 )
-async def readyz(request: Request, response: Response, exclude: ExcludeQuery = ()) -> Readiness:
+async def readyz(request: Request, gateway: GatewayOf, response: Response, exclude: ExcludeQuery = ()) -> Readiness:
     """Readiness check: 200 if jobs can run, else 503. `exclude` leaves checks out: without a worker, captures are still
     taken and jobs wait.
 
     The store, the database, for writing too, and at least one worker must answer, and the disks have space. What each
     of them said is for operators; orchestrators, which have no key, get the status alone.
     """
-    may_see = await _may_see_checks(request)
-    checks = await run_checks(request)
+    may_see = await _may_see_checks(request, gateway)
+    checks = await run_checks(gateway)
     ready = all(check.ok for name, check in checks.items() if name not in exclude)
     response.status_code = 200 if ready else 503
     return Readiness(ready=ready, checks=checks if may_see else {})
 
 
-async def run_checks(request: Request) -> dict[str, Check]:
+async def run_checks(gateway: Gateway) -> dict[str, Check]:
     """Check the store, the database, the disks and the workers, all at once, each for 2 s at most."""
-    state = request.app.state
     names = ("store", "database", "disk", "workers")
     found = await asyncio.gather(
-        _store(state.store, state.scrub.state),
-        _database(state.job_store, state.snapshots),
-        asyncio.to_thread(_disk, [state.settings.data_dir, *_folders(state.store)]),
-        _workers(state.workers),
+        _store(gateway.store, gateway.upkeep.scrub.state),
+        _database(gateway.job_store, gateway.upkeep.snapshots),
+        asyncio.to_thread(_disk, [gateway.settings.data_dir, *_folders(gateway.store)]),
+        _workers(gateway.workers),
     )
     return dict(zip(names, found, strict=True))
 
@@ -73,21 +73,21 @@ async def run_checks(request: Request) -> dict[str, Check]:
     dependencies=[needs(Scope.OPERATE)],
     responses={200: {"content": {"text/plain": {}}}},
 )
-async def metrics(request: Request) -> Response:
+async def metrics(gateway: GatewayOf) -> Response:
     """Get metrics in Prometheus' text format."""
-    job_store = request.app.state.job_store
-    scrub: ScrubState = request.app.state.scrub.state
-    request.app.state.metrics.show_scrub(len(scrub.damaged), scrub.ended)
-    streams = job_store.notifier.listener_count + request.app.state.scene_news.listener_count
-    page = request.app.state.metrics.render(await job_store.read(JobStore.count_by_state), streams)
+    job_store = gateway.job_store
+    scrub = gateway.upkeep.scrub.state
+    gateway.metrics.show_scrub(len(scrub.damaged), scrub.ended)
+    streams = job_store.notifier.listener_count + gateway.scenes.news.listener_count
+    page = gateway.metrics.render(await job_store.read(JobStore.count_by_state), streams)
     return Response(page, headers={"Content-Type": CONTENT_TYPE_LATEST})
 
 
-async def _may_see_checks(request: Request) -> bool:
+async def _may_see_checks(request: Request, gateway: Gateway) -> bool:
     try:
         return Scope.OPERATE in (await authenticate(request)).scopes
     except SQLAlchemyError:  # the keys are in the database, which is one of the checks
-        return not request.app.state.settings.is_public
+        return not gateway.settings.is_public
 
 
 async def _check(question: Awaitable[object]) -> Check:

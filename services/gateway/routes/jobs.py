@@ -18,6 +18,7 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.jobs.async_store import AsyncJobStore
 from capture2vr.gateway.jobs.capture_objects import capture_bytes, unknown_capture
 from capture2vr.gateway.jobs.collection_choice import choose_collection
@@ -85,7 +86,12 @@ async def create_job(
     responses=problems(400, 404, 409, 413, 415, 422, 429, 503),
 )
 async def repeat_job(
-    job: str, body: JobAgain, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
+    job: str,
+    body: JobAgain,
+    request: Request,
+    gateway: GatewayOf,
+    response: Response,
+    idempotency_key: IdempotencyKey = "",
 ) -> JobView:
     """Create a job with the key and options of an earlier one, but another cut, edited, or of another capture.
 
@@ -93,13 +99,13 @@ async def repeat_job(
     """
 
     async def changed_order() -> Order:
-        earlier: Job = await request.app.state.job_store.read(JobStore.get, caller_of(request).tenant, job)
+        earlier = await gateway.job_store.read(JobStore.get, caller_of(request).tenant, job)
         await _require_capture(body.capture or earlier.order.capture, request)
         order = body.order(earlier.order)
         _require_edits(order)
-        await _known_preset(order.preset, request)
+        await _known_preset(order.options.preset, request)
         names = await in_thread(lambda: _names_of(store_of(request), earlier.order))
-        return replace(order, label=names.label, description=names.description, labels=names.labels)
+        return replace(order, options=replace(order.options, names=names))
 
     content = f"{job} {body.model_dump_json()}"
     repeated = await _create_once(content, changed_order, request, idempotency_key)
@@ -110,6 +116,7 @@ async def repeat_job(
 @router.get("/jobs", response_model=JobPage, dependencies=[_FOLLOWS], responses=problems(422))
 async def list_jobs(
     request: Request,
+    gateway: GatewayOf,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     after: Annotated[
         str, Query(pattern=f"^({JOB_ID.pattern})?$", description="`next` of the previous page: only older jobs.")
@@ -117,15 +124,15 @@ async def list_jobs(
 ) -> JobPage:
     """List jobs, newest first."""
     now, tenant = time.time(), caller_of(request).tenant
-    found = await request.app.state.job_store.read(JobStore.page, tenant, limit=limit + 1, after=after)
+    found = await gateway.job_store.read(JobStore.page, tenant, limit=limit + 1, after=after)
     jobs = [JobView.of(job, now) for job in found[:limit]]
     return JobPage(jobs=jobs, next=jobs[-1].id if len(found) > limit else None)
 
 
 @router.get("/jobs/{job}", response_model=JobView, dependencies=[_FOLLOWS], responses=problems(404))
-async def get_job(job: str, request: Request) -> JobView:
+async def get_job(job: str, request: Request, gateway: GatewayOf) -> JobView:
     """Get a job's state, progress and result."""
-    return JobView.of(await request.app.state.job_store.read(JobStore.get, caller_of(request).tenant, job), time.time())
+    return JobView.of(await gateway.job_store.read(JobStore.get, caller_of(request).tenant, job), time.time())
 
 
 @router.post(
@@ -135,13 +142,13 @@ async def get_job(job: str, request: Request) -> JobView:
     dependencies=[needs(Scope.CAPTURE)],
     responses=problems(404),
 )
-async def cancel_job(job: str, request: Request) -> JobView:
+async def cancel_job(job: str, request: Request, gateway: GatewayOf) -> JobView:
     """Cancel a job: at once while it is queued, within seconds while it is running. No effect on one that has ended."""
-    job_store: AsyncJobStore = request.app.state.job_store
+    job_store = gateway.job_store
     await job_store.read(JobStore.get, caller_of(request).tenant, job)
     changed = await job_store.change(job, partial(request_cancel, now=time.time()))
     if not changed.ended:
-        request.app.state.dispatcher.cancel(job)
+        gateway.dispatcher.cancel(job)
     return JobView.of(changed, time.time())
 
 
@@ -168,15 +175,16 @@ async def cancel_job(job: str, request: Request) -> JobView:
 async def follow_job(
     job: str,
     request: Request,
+    gateway: GatewayOf,
     after: Annotated[int | None, Query(ge=0, description="Only events with a higher number (`id`).")] = None,
     last_event_id: LastEventId = "",
 ) -> EventSourceResponse:
     """Follow a job as server-sent events: first all events so far, then new ones, until the job has ended."""
-    job_store: AsyncJobStore = request.app.state.job_store
+    job_store = gateway.job_store
     tenant = caller_of(request).tenant
     await job_store.read(JobStore.get, tenant, job)  # an unknown job is a 404, not an empty stream
     start = known_event(after, last_event_id)
-    return stream_events(_event_stream(job_store, request.app.state.metrics, tenant, job, start))
+    return stream_events(_event_stream(job_store, gateway.metrics, tenant, job, start))
 
 
 @router.get("/presets", response_model=Presets, dependencies=[needs(*Scope)])
@@ -204,7 +212,8 @@ async def _create_once(
 
     content  of the request: a key that comes with another one is refused. Raises Problem.
     """
-    job_store: AsyncJobStore = request.app.state.job_store
+    gateway = gateway_of(request)
+    job_store = gateway.job_store
     sha256 = hashlib.sha256(content.encode()).hexdigest()
     tenant = caller_of(request).tenant
     job: Job | None = await job_store.read(JobStore.find_by_key, tenant, idempotency_key, sha256)
@@ -220,7 +229,7 @@ async def _create_once(
             at_once=limits.jobs_at_once,
             per_day=limits.jobs_per_day,
         )
-        request.app.state.dispatcher.wake()
+        gateway.dispatcher.wake()
     return job
 
 
@@ -288,7 +297,7 @@ async def _make_order(body: JobRequest, request: Request) -> Order:
 def _require_edits(order: Order) -> None:
     """Raises Problem EDITS_OTHER_CAPTURE for a recipe that was made for another capture."""
     try:
-        order.edits.require_capture(order.capture)
+        order.options.edits.require_capture(order.capture)
     except InvalidEdits as error:
         hints = ("the frame of another capture is another one: make the edits again", "or leave `capture` out of them")
         raise Problem(422, "EDITS_OTHER_CAPTURE", f"edits: {error}", hints=hints) from None
@@ -299,7 +308,7 @@ def _names_of(store: Store, order: Order) -> AssetNames:
     try:
         return read_entry(store, order.asset_key).names
     except (FileNotFoundError, CatalogueFault):
-        return AssetNames(order.label, order.description, order.labels)
+        return order.options.names
 
 
 async def _require_capture(capture: str, request: Request) -> None:
@@ -326,7 +335,8 @@ async def _known_preset(preset: str, request: Request) -> str:
 
 async def _known_presets(request: Request, *, refresh: bool = False) -> Mapping[str, WorkerPreset]:
     """Return the workers' presets by name, the default first; those in the settings until a worker has answered."""
-    workers = request.app.state.workers
+    gateway = gateway_of(request)
+    workers = gateway.workers
     if refresh or not workers.presets:
         await workers.poll()
-    return workers.presets or {name: WorkerPreset(name) for name in request.app.state.settings.presets}
+    return workers.presets or {name: WorkerPreset(name) for name in gateway.settings.presets}

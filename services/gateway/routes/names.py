@@ -8,6 +8,7 @@ from fastapi import APIRouter, Request
 from pydantic import BaseModel
 
 from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.routes.access_rules import needs
 from capture2vr.gateway.routes.assets import Key, check_key
 from capture2vr.gateway.routes.read_rules import unknown_asset
@@ -42,13 +43,13 @@ class NamesView(BaseModel):
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 415, 422, 503),
 )
-async def change_names_of_asset(key: Key, body: NamesRequest, request: Request) -> NamesView:
-    """Change an asset's label, description or tags, without a new version. A later job keeps them, unless it
+async def change_names_of_asset(key: Key, body: NamesRequest, request: Request, gateway: GatewayOf) -> NamesView:
+    """Change an asset's label, description or search words, without a new version. A later job keeps them, unless it
     names others.
     """
     check_key(key)
     changes: dict[str, Any] = body.model_dump(exclude_none=True)
-    store, keys = store_of(request), request.app.state.keys
+    store, keys = store_of(request), gateway.keys
     try:
         entry = await in_thread(lambda: change_names(store, key, keys, **changes))
     except FileNotFoundError:

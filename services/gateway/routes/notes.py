@@ -11,7 +11,8 @@ from pydantic import BaseModel, Field
 
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.errors import Problem
-from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
+from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.routes.assets import Key, check_key, read_asset
 from capture2vr.gateway.routes.read_rules import READS_ASSET, reading_of, unknown_asset
 from capture2vr.gateway.routes.store_access import in_thread, store_of
@@ -91,9 +92,9 @@ async def list_notes(key: Key, request: Request) -> Response:
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 415, 422, 503),
 )
-async def pin_note(key: Key, body: NoteRequest, request: Request) -> NoteView:
+async def pin_note(key: Key, body: NoteRequest, request: Request, gateway: GatewayOf) -> NoteView:
     """Pin a note to an asset: a new catalogue entry, and no new version."""
-    store, keys, author = store_of(request), request.app.state.keys, await _author(request)
+    store, keys, author = store_of(request), gateway.keys, await _author(request)
     text, at, normal = body.text, triple(body.at), _place(body.normal)
     return _view(
         await _known(key, lambda: add_note(store, key, text=text, at=at, normal=normal, author=author, keys=keys))
@@ -106,9 +107,11 @@ async def pin_note(key: Key, body: NoteRequest, request: Request) -> NoteView:
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 415, 422, 503),
 )
-async def change_pinned_note(key: Key, note: NoteId, body: NoteChange, request: Request) -> NoteView:
+async def change_pinned_note(
+    key: Key, note: NoteId, body: NoteChange, request: Request, gateway: GatewayOf
+) -> NoteView:
     """Change a note's text or place."""
-    store, keys = store_of(request), request.app.state.keys
+    store, keys = store_of(request), gateway.keys
     text, at, normal = body.text, _place(body.at), _place(body.normal)
     return _view(await _known(key, lambda: change_note(store, key, note, text=text, at=at, normal=normal, keys=keys)))
 
@@ -119,9 +122,9 @@ async def change_pinned_note(key: Key, note: NoteId, body: NoteChange, request: 
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 422, 503),
 )
-async def remove_pinned_note(key: Key, note: NoteId, request: Request) -> None:
+async def remove_pinned_note(key: Key, note: NoteId, request: Request, gateway: GatewayOf) -> None:
     """Remove a note. It is gone: no version has it."""
-    store, keys = store_of(request), request.app.state.keys
+    store, keys = store_of(request), gateway.keys
     await _known(key, lambda: remove_note(store, key, note, keys))
 
 
@@ -146,7 +149,7 @@ def _place(values: list[float] | None) -> Place | None:
 async def _author(request: Request) -> str:
     """Return the label of the caller's access key; "" without one."""
     key = caller_of(request).key
-    authentication = authentication_of(request)
+    authentication = gateway_of(request).access.authentication
     found = await authentication.run(lambda: authentication.store.key(key)) if key else None
     return found.label if found else ""
 

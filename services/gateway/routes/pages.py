@@ -18,6 +18,7 @@ from starlette.types import Scope
 
 from capture2vr.gateway.browser_permissions import CAMERA_PAGE
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.page_modules import name_modules
 from capture2vr.gateway.page_texts import LANGUAGES, SERVER_TEXTS, TEXTS, preferred_language, translate_page
 from capture2vr.gateway.routes.access_rules import ANYONE
@@ -83,11 +84,11 @@ async def admin_page(request: Request) -> Response:
 
 
 @router.get("/s/{token}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404, 410)})
-async def share_page(token: str, request: Request) -> Response:
+async def share_page(token: str, request: Request, gateway: GatewayOf) -> Response:
     """The page of a share link: asks for a password where there is one, and leads to what is shared."""
     status = 200
     try:
-        await request.app.state.sharing.share_of(token)
+        await gateway.access.sharing.share_of(token)
     except Problem as problem:
         status = problem.status
         if "text/html" not in request.headers.get("accept", ""):
@@ -201,7 +202,8 @@ class WebFiles(StaticFiles):
 def _page(name: str, request: Request, status: int = 200, languages: tuple[str, ...] = LANGUAGES) -> Response:
     language = preferred_language(request.headers.get("accept-language", ""), languages)
     html = translate_page(_html(name), language)
-    policy = _content_security_policy(html, _origins(request.app.state.store, request.app.state.settings))
+    gateway = gateway_of(request)
+    policy = _content_security_policy(html, _origins(gateway.store, gateway.settings))
     headers = {
         "Cache-Control": "no-cache",
         "Content-Language": language,

@@ -10,6 +10,7 @@ from fastapi.responses import StreamingResponse
 from pydantic import BaseModel
 
 from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.jobs.capture_objects import object_chunks, read_receipt
 from capture2vr.gateway.pictures.capture_films import films_in, find_film
 from capture2vr.gateway.pictures.capture_pictures import pictures_in, read_picture, with_archive
@@ -83,6 +84,7 @@ async def get_picture(
     capture: CaptureId,
     picture: Annotated[int, Path(ge=0, le=100_000, description="Place in the list of the capture's pictures, from 0.")],
     request: Request,
+    gateway: GatewayOf,
 ) -> Response:
     """Get a photo of a capture as a small JPEG, turned upright: what the corners of a lasso are shares of."""
     store = store_of(request)
@@ -90,7 +92,7 @@ async def get_picture(
     def read() -> tuple[str, bytes]:
         return read_picture(store, capture, read_receipt(store, _kind_of, capture), picture)
 
-    jpeg = await request.app.state.picture_processes.shrink(lambda: in_thread(read))
+    jpeg = await gateway.captures.pictures.shrink(lambda: in_thread(read))
     return Response(jpeg, media_type="image/jpeg", headers=_PRIVATE)
 
 

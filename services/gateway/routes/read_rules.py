@@ -16,8 +16,9 @@ from capture2vr.gateway.access.authentication import ANONYMOUS
 from capture2vr.gateway.access.caller import Caller, Scope
 from capture2vr.gateway.access.readers import Kind, Readers, ReadersCache, Thing
 from capture2vr.gateway.access.shares import Share
-from capture2vr.gateway.access.sharing import SCHEME, Sharing, ended
+from capture2vr.gateway.access.sharing import SCHEME, ended
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import gateway_of
 from capture2vr.gateway.routes.access_rules import Rule, authenticate, caller_of, missing_scope
 from capture2vr.storage.catalogue.visibility import Visibility, is_open
 from capture2vr.storage.store import NO_CACHE
@@ -73,7 +74,7 @@ class _ReadRule(Rule):
     async def _check(self, request: Request, thing_for: Callable[[str], Thing]) -> None:
         """Check the caller against the thing, which `thing_for` returns for the caller's tenant. Raises Problem."""
         caller, refusal = await _caller_or_refusal(request)
-        request.state.rate_limit = await request.app.state.limits.spend(caller)
+        request.state.rate_limit = await gateway_of(request).access.limits.spend(caller)
         request.state.reading = await self._reading(request, thing_for(caller.tenant), caller, refusal)
 
     async def check_again(self, request: Request) -> None:
@@ -83,7 +84,7 @@ class _ReadRule(Rule):
 
     async def _reading(self, request: Request, thing: Thing, caller: Caller, refusal: Problem | None) -> Reading:
         """Return what the request reads. refusal: of the caller's key or session. Raises Problem."""
-        readers: ReadersCache = request.app.state.readers
+        readers = gateway_of(request).access.readers
         found = await readers.of(thing)
         is_own = thing.tenant == caller.tenant and Scope.READ in caller.scopes
         by_default = Visibility.PUBLIC if caller.via == "open" and is_own else Visibility.PRIVATE
@@ -99,9 +100,9 @@ class _ReadRule(Rule):
 
     async def _share_of(self, request: Request, thing: Thing, found: Readers) -> Share | None:
         """Return a share that opens the thing for this request. Raises Problem for one that did until it ended."""
-        sharing: Sharing = request.app.state.sharing
-        shown = await sharing.shown(request.headers.get("authorization"), request.cookies)
-        opening = [share for share in shown if await _opens(share, thing, found, request.app.state.readers)]
+        access = gateway_of(request).access
+        shown = await access.sharing.shown(request.headers.get("authorization"), request.cookies)
+        opening = [share for share in shown if await _opens(share, thing, found, access.readers)]
         problems = [ended(share) for share in opening]
         for share, problem in zip(opening, problems, strict=True):
             if problem is None:

@@ -20,6 +20,7 @@ from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.access.limits import limited
 from capture2vr.gateway.access.readers import Thing
 from capture2vr.gateway.errors import RETRY_S, Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.routes.event_streams import (
     HEARTBEAT_S,
@@ -34,8 +35,6 @@ from capture2vr.gateway.routes.scenes import SceneId, view_of
 from capture2vr.gateway.routes.store_access import store_problems
 from capture2vr.gateway.scenes.listener import Listener
 from capture2vr.gateway.scenes.moves import MovedItem, Moves
-from capture2vr.gateway.scenes.news import SceneNews
-from capture2vr.gateway.scenes.reads import SceneReads
 from capture2vr.gateway.schemas import problems
 from capture2vr.storage.catalogue.scene import Scene
 
@@ -70,6 +69,7 @@ _log = logging.getLogger(__name__)
 async def follow_scene(
     scene: SceneId,
     request: Request,
+    gateway: GatewayOf,
     after: Annotated[int | None, Query(ge=0, description="The version that is known: only newer ones.")] = None,
     last_event_id: LastEventId = "",
 ) -> EventSourceResponse:
@@ -77,7 +77,7 @@ async def follow_scene(
 
     Of versions that were missed the newest is sent. A stream never ends by itself, unless the scene is deleted.
     """
-    reading, news = reading_of(request), _news_of(request)
+    reading, news = reading_of(request), gateway.scenes.news
     await _read(reading.thing, request)  # an unknown scene is a 404, not an empty stream
     client = reading.by or (request.client.host if request.client else "")
     if news.streams_of(client) >= _MOST_STREAMS:
@@ -93,18 +93,18 @@ async def follow_scene(
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 415, 422, 429, 503),
 )
-async def post_moving(scene: SceneId, body: Moves, request: Request) -> None:
-    """Tell followers of an arrangement where objects are while they are moved. Nothing is stored; send ten a second."""
+async def post_moving(scene: SceneId, body: Moves, request: Request, gateway: GatewayOf) -> None:
+    """Tell those who follow a scene where things are while they are moved. Nothing is stored; ten times a second do."""
     thing = Thing(caller_of(request).tenant, "scene", scene)
-    request.app.state.limits.spend_moves(thing.tenant, scene)
+    gateway.access.limits.spend_moves(thing.tenant, scene)
     await _read(thing, request)
-    _news_of(request).move(thing, body)
+    gateway.scenes.news.move(thing, body)
 
 
 async def _event_stream(request: Request, thing: Thing, client: str, last: int) -> AsyncIterator[ServerSentEvent]:
     """Yield what happens in a scene that is known in version `last`, until it is deleted or may not be read."""
     look_at = 0.0
-    news = _news_of(request)
+    news = gateway_of(request).scenes.news
     with news.listen(thing, client) as listener:
         if news.streams_of(client) > _MOST_STREAMS:  # many were asked for before the first of them had begun
             return
@@ -133,9 +133,8 @@ async def _look(request: Request, thing: Thing) -> Scene | None:
 
     Raises FileNotFoundError for a deleted one, Problem for who may no longer read it, SQLAlchemyError.
     """
-    reads: SceneReads = request.app.state.scene_reads
     try:
-        found = await reads.read(thing)
+        found = await gateway_of(request).scenes.reads.read(thing)
         await still_reads_scene(request)
     except FileNotFoundError:
         raise
@@ -156,10 +155,9 @@ async def _moves_of(listener: Listener) -> AsyncIterator[ServerSentEvent]:
 
 async def _read(thing: Thing, request: Request) -> Scene:
     """Read a scene, as it was some seconds ago at most. Raises Problem."""
-    reads: SceneReads = request.app.state.scene_reads
     try:
         with store_problems():
-            return await reads.read(thing)
+            return await gateway_of(request).scenes.reads.read(thing)
     except FileNotFoundError:
         raise unknown_scene(thing.name) from None
 
@@ -171,8 +169,3 @@ def _scene_event(scene: Scene, request: Request) -> ServerSentEvent:
 
 def _moving_event(sender: str, item: MovedItem) -> ServerSentEvent:
     return ServerSentEvent(json.dumps({"sender": sender, **asdict(item)}), event="moving")
-
-
-def _news_of(request: Request) -> SceneNews:
-    news: SceneNews = request.app.state.scene_news
-    return news

@@ -14,7 +14,8 @@ from pydantic import BaseModel
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.access.readers import Thing
 from capture2vr.gateway.errors import Problem
-from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.gateway import GatewayOf
+from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.routes.http_ranges import etag_matches
 from capture2vr.gateway.routes.read_rules import READS_SCENE, reading_of, unknown_scene
 from capture2vr.gateway.routes.store_access import in_thread, page_path, store_of
@@ -143,6 +144,7 @@ async def put_scene(
     scene: SceneId,
     body: SceneRequest,
     request: Request,
+    gateway: GatewayOf,
     response: Response,
     if_match: Annotated[str, Header(max_length=100, description="ETag of the version that was changed.")] = "",
 ) -> SceneView:
@@ -156,7 +158,7 @@ async def put_scene(
         detail = f"somebody saved version {other.present.version} of this scene, and this was made from {version}"
         hints = ("read the scene again, make the change in it, and save that",)
         raise Problem(412, "SCENE_CHANGED", detail, hints=hints, headers={"ETag": _etag(other.present)}) from None
-    request.app.state.scene_news.change(_thing(scene, request))
+    gateway.scenes.news.change(_thing(scene, request))
     response.headers["ETag"] = _etag(changed)
     return view_of(changed, request)
 
@@ -164,16 +166,16 @@ async def put_scene(
 @router.delete(
     "/scenes/{scene}", status_code=204, dependencies=[needs(Scope.MANAGE)], responses=problems(404, 422, 503)
 )
-async def remove_scene(scene: SceneId, request: Request) -> None:
+async def remove_scene(scene: SceneId, request: Request, gateway: GatewayOf) -> None:
     """Delete a scene for good, and revoke its share links. Its assets stay."""
     store, thing = store_of(request), _thing(scene, request)
-    shares = request.app.state.sharing.store
+    shares = gateway.access.sharing.store
     try:
         await in_thread(lambda: delete_scene(store, scene))
     except FileNotFoundError:
         raise unknown_scene(scene) from None
-    await authentication_of(request).run(lambda: shares.revoke_all(thing.tenant, thing))
-    request.app.state.scene_news.change(thing)
+    await gateway.access.authentication.run(lambda: shares.revoke_all(thing.tenant, thing))
+    gateway.scenes.news.change(thing)
 
 
 def _version_of(if_match: str) -> int:

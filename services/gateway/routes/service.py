@@ -8,15 +8,16 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 from pydantic import BaseModel
 
 import capture2vr
 from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.jobs.job import Job, State
 from capture2vr.gateway.jobs.state_machine import RUNNING_STATES
 from capture2vr.gateway.jobs.store import JobStore
-from capture2vr.gateway.routes.access_rules import authentication_of, needs
+from capture2vr.gateway.routes.access_rules import needs
 from capture2vr.gateway.routes.health import run_checks
 from capture2vr.gateway.schemas import Check
 from capture2vr.gateway.workers.worker_client import WorkerPool
@@ -92,30 +93,29 @@ class QueueView(BaseModel):
 
 
 @router.get("/queue", response_model=QueueView, dependencies=[needs(Scope.OPERATE)])
-async def get_queue(request: Request) -> QueueView:
+async def get_queue(gateway: GatewayOf) -> QueueView:
     """Get the length of the queue, by which an autoscaler adds and removes workers: one query, nobody is asked."""
-    jobs = request.app.state.job_store
+    jobs = gateway.job_store
     counts, oldest = await asyncio.gather(jobs.read(JobStore.count_by_state), jobs.read(JobStore.oldest_queued))
     queued, running = counts[State.QUEUED], sum(counts[state] for state in RUNNING_STATES)
     return QueueView(queued=queued, running=running, unfinished=queued + running, waiting_s=_waiting(oldest))
 
 
 @router.get("/service", response_model=ServiceView, dependencies=[needs(Scope.OPERATE)])
-async def get_service(request: Request) -> ServiceView:
+async def get_service(gateway: GatewayOf) -> ServiceView:
     """Get the state of queue, workers, stores and disks, and the jobs that failed last."""
-    state = request.app.state
-    jobs, pool = state.job_store, state.workers
+    jobs, pool = gateway.job_store, gateway.workers
     checks, workers, counts, oldest, failures, disks = await asyncio.gather(
-        run_checks(request),
+        run_checks(gateway),
         pool.poll(),
         jobs.read(JobStore.count_by_state),
         jobs.read(JobStore.oldest_queued),
         jobs.read(JobStore.failures, limit=_FAILURES),
-        asyncio.to_thread(_disks, state.settings.data_dir, state.store),
+        asyncio.to_thread(_disks, gateway.settings.data_dir, gateway.store),
     )
     return ServiceView(
         version=capture2vr.__version__,
-        open=await authentication_of(request).is_open(),
+        open=await gateway.access.authentication.is_open(),
         ready=all(check.ok for check in checks.values()),
         checks=checks,
         jobs=counts,

@@ -14,11 +14,12 @@ from pydantic import BaseModel, Field
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.access.readers import Kind, Thing
 from capture2vr.gateway.access.shares import SHARE_ID, Mode, Share
-from capture2vr.gateway.access.sharing import COOKIE_PREFIX, Sharing
+from capture2vr.gateway.access.sharing import COOKIE_PREFIX
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.qr_code import qr_svg
 from capture2vr.gateway.routes.access import Days, utc, utc_or_none
-from capture2vr.gateway.routes.access_rules import ANYONE, authentication_of, caller_of, needs
+from capture2vr.gateway.routes.access_rules import ANYONE, caller_of, needs
 from capture2vr.gateway.routes.read_rules import unknown_asset, unknown_collection, unknown_scene
 from capture2vr.gateway.routes.store_access import gateway_url, in_thread, path_of_tenant, store_of
 from capture2vr.gateway.schemas import Label, StrictBody, problems
@@ -108,12 +109,12 @@ class OpenedShareView(BaseModel):
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 415, 422, 503),
 )
-async def create_share(body: ShareRequest, request: Request) -> ShareView:
+async def create_share(body: ShareRequest, request: Request, gateway: GatewayOf) -> ShareView:
     """Share an asset, a collection or a scene by a link, which needs no login."""
     thing = await _existing_thing(body, request)
     expires = time.time() + body.expires_days * _DAY_S if body.expires_days else None
-    store = _sharing(request).store
-    share = await authentication_of(request).run(
+    store = gateway.access.sharing.store
+    share = await gateway.access.authentication.run(
         lambda: store.create(thing, mode=body.mode, label=body.label, expires=expires, password=body.password)
     )
     return await _view(share, request)
@@ -122,6 +123,7 @@ async def create_share(body: ShareRequest, request: Request) -> ShareView:
 @router.get("/shares", response_model=SharePage, dependencies=[needs(Scope.MANAGE)], responses=problems(422))
 async def list_shares(
     request: Request,
+    gateway: GatewayOf,
     asset: Annotated[str, Query(max_length=100, description="Only of this asset.")] = "",
     collection: Annotated[str, Query(max_length=100, description="Only of this collection.")] = "",
     scene: Annotated[str, Query(max_length=100, description="Only of this scene.")] = "",
@@ -129,9 +131,9 @@ async def list_shares(
     after: Annotated[str, Query(pattern=f"^({SHARE_ID})?$", description="`next` of the previous page.")] = "",
 ) -> SharePage:
     """List share links, the oldest first, with those that have ended."""
-    store, tenant = _sharing(request).store, caller_of(request).tenant
+    store, tenant = gateway.access.sharing.store, caller_of(request).tenant
     kind: Kind | None = "asset" if asset else "collection" if collection else "scene" if scene else None
-    found = await authentication_of(request).run(
+    found = await gateway.access.authentication.run(
         lambda: store.page(tenant, limit=limit + 1, after=after, kind=kind, name=asset or collection or scene)
     )
     views = [await _view(share, request) for share in found[:limit]]
@@ -144,9 +146,9 @@ async def list_shares(
     dependencies=[needs(Scope.MANAGE)],
     responses={200: {"content": {"image/svg+xml": {}}}, **problems(404, 422)},
 )
-async def get_qr_code_of_share(share: ShareId, request: Request) -> Response:
+async def get_qr_code_of_share(share: ShareId, request: Request, gateway: GatewayOf) -> Response:
     """Get a share link as a QR code (SVG)."""
-    found = await authentication_of(request).run(lambda: _sharing(request).store.get(share))
+    found = await gateway.access.authentication.run(lambda: gateway.access.sharing.store.get(share))
     if found is None or found.thing.tenant != caller_of(request).tenant:
         raise _unknown(share)
     return Response(qr_svg((await _view(found, request)).url), media_type="image/svg+xml")
@@ -155,10 +157,10 @@ async def get_qr_code_of_share(share: ShareId, request: Request) -> Response:
 @router.delete(
     "/shares/{share}", response_model=ShareView, dependencies=[needs(Scope.MANAGE)], responses=problems(404, 422)
 )
-async def revoke_share(share: ShareId, request: Request) -> ShareView:
+async def revoke_share(share: ShareId, request: Request, gateway: GatewayOf) -> ShareView:
     """Revoke a share link: at once at this gateway, and within a minute everywhere, the CDN included."""
-    sharing, tenant = _sharing(request), caller_of(request).tenant
-    revoked = await authentication_of(request).run(lambda: sharing.store.revoke(share, tenant))
+    sharing, tenant = gateway.access.sharing, caller_of(request).tenant
+    revoked = await gateway.access.authentication.run(lambda: sharing.store.revoke(share, tenant))
     if revoked is None:
         raise _unknown(share)
     sharing.forget(revoked)
@@ -171,11 +173,11 @@ async def revoke_share(share: ShareId, request: Request) -> ShareView:
     dependencies=[ANYONE],
     responses=problems(401, 404, 410, 415, 422, 429),
 )
-async def open_share(body: OpenRequest, request: Request, response: Response) -> OpenedShareView:
+async def open_share(body: OpenRequest, request: Request, gateway: GatewayOf, response: Response) -> OpenedShareView:
     """Open a share link: the browser gets a cookie for what it shares."""
-    sharing = _sharing(request)
+    sharing = gateway.access.sharing
     if body.password:
-        request.app.state.password_guesses.spend(request, (await sharing.share_of(body.token)).id)
+        gateway.access.password_guesses.spend(request, (await sharing.share_of(body.token)).id)
     share, cookie, seconds = await sharing.open(body.token, body.password)
     response.set_cookie(
         COOKIE_PREFIX + share.id,
@@ -213,7 +215,7 @@ async def _existing_thing(body: ShareRequest, request: Request) -> Thing:
 
 
 async def _view(share: Share, request: Request) -> ShareView:
-    token = await _sharing(request).token(share)
+    token = await gateway_of(request).access.sharing.token(share)
     facts: dict[str, Any] = {name: getattr(share, name) for name in ("id", "mode", "label", "opened")}
     return ShareView(
         **facts,
@@ -227,11 +229,6 @@ async def _view(share: Share, request: Request) -> ShareView:
         last_opened=utc_or_none(share.last_opened),
         url=urljoin(gateway_url(request), f"s/{token}"),
     )
-
-
-def _sharing(request: Request) -> Sharing:
-    sharing: Sharing = request.app.state.sharing
-    return sharing
 
 
 def _unknown(share: str) -> Problem:

@@ -11,6 +11,7 @@ import anyio.to_thread
 from fastapi import Request
 
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import gateway_of
 from capture2vr.gateway.routes.read_rules import reads_tenant
 from capture2vr.storage.catalogue.faults import CatalogueFault
 from capture2vr.storage.store import Store
@@ -45,12 +46,12 @@ def store_problems() -> Iterator[None]:
 
 def store_of(request: Request) -> Store:
     """Return the store of the tenant whose things a request reads or changes."""
-    return store_of_tenant(request.app.state.store, reads_tenant(request))
+    return store_of_tenant(gateway_of(request).store, reads_tenant(request))
 
 
 def gateway_url(request: Request) -> str:
     """Return the URL by which clients reach this gateway, with a slash at the end."""
-    public: str = request.app.state.settings.public_url
+    public = gateway_of(request).settings.public_url
     return (public or str(request.base_url)).rstrip("/") + "/"
 
 

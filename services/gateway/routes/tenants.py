@@ -8,12 +8,14 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Request
 from pydantic import BaseModel, Field
 
+from capture2vr.gateway.access.authentication import Authentication
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.access.limits import TenantLimits
 from capture2vr.gateway.access.store import Tenant
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import Gateway, GatewayOf
 from capture2vr.gateway.jobs.store import JobStore
-from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, limits_of, needs
+from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
 from capture2vr.gateway.schemas import Label, StrictBody, TenantName, problems
 from capture2vr.storage.tenant_store import TENANT_PATTERN
 
@@ -95,9 +97,9 @@ class UsageView(BaseModel):
     dependencies=[needs(Scope.OPERATE)],
     responses=problems(409, 415, 422),
 )
-async def create_tenant(body: TenantRequest, request: Request) -> TenantView:
+async def create_tenant(body: TenantRequest, gateway: GatewayOf) -> TenantView:
     """Create a tenant. Its captures, jobs, assets and collections are its own."""
-    authentication = authentication_of(request)
+    authentication = gateway.access.authentication
     store = authentication.store
     if not await authentication.run(lambda: store.ensure_tenant(body.name, body.label)):
         raise Problem(409, "TENANT_EXISTS", f"there is a tenant {body.name} already", hints=("choose another name",))
@@ -108,12 +110,12 @@ async def create_tenant(body: TenantRequest, request: Request) -> TenantView:
 
 @router.get("/tenants", response_model=TenantPage, dependencies=[needs(Scope.OPERATE)], responses=problems(422))
 async def list_tenants(
-    request: Request,
+    gateway: GatewayOf,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     after: Annotated[str, Query(pattern=f"^({TENANT_PATTERN})?$", description="`next` of the previous page.")] = "",
 ) -> TenantPage:
     """List tenants by name."""
-    authentication = authentication_of(request)
+    authentication = gateway.access.authentication
     found = await authentication.run(lambda: authentication.store.list_tenants(limit=limit + 1, after=after))
     tenants = [TenantView.of(each) for each in found[:limit]]
     return TenantPage(tenants=tenants, next=tenants[-1].name if len(found) > limit else None)
@@ -125,14 +127,14 @@ async def list_tenants(
     dependencies=[needs(Scope.OPERATE)],
     responses=problems(404, 415, 422),
 )
-async def set_limits(name: Name, body: LimitsRequest, request: Request) -> LimitsView:
+async def set_limits(name: Name, body: LimitsRequest, gateway: GatewayOf) -> LimitsView:
     """Set the limits of one tenant, in place of those it had. Other gateways take them up within seconds."""
-    await _require_tenant(name, request)
+    authentication = gateway.access.authentication
+    await _require_tenant(name, authentication)
     own = body.model_dump(exclude_none=True)
-    authentication = authentication_of(request)
     await authentication.run(lambda: authentication.store.set_limits(name, own))
-    request.app.state.limits.forget(name)
-    return LimitsView(**(await request.app.state.limits.of(name)).document())
+    gateway.access.limits.forget(name)
+    return LimitsView(**(await gateway.access.limits.of(name)).document())
 
 
 @router.get(
@@ -141,22 +143,22 @@ async def set_limits(name: Name, body: LimitsRequest, request: Request) -> Limit
     dependencies=[needs(Scope.OPERATE)],
     responses=problems(404, 422, 503),
 )
-async def get_tenant_usage(name: Name, request: Request) -> UsageView:
+async def get_tenant_usage(name: Name, gateway: GatewayOf) -> UsageView:
     """Get a tenant's limits, and what it uses."""
-    await _require_tenant(name, request)
-    return await _usage(name, await request.app.state.limits.of(name), request)
+    await _require_tenant(name, gateway.access.authentication)
+    return await _usage(name, await gateway.access.limits.of(name), gateway)
 
 
 @router.get("/usage", response_model=UsageView, dependencies=[needs(*Scope)], responses=problems(503))
-async def get_usage(request: Request) -> UsageView:
+async def get_usage(request: Request, gateway: GatewayOf) -> UsageView:
     """Get the limits of the caller's own tenant, and what it uses."""
-    return await _usage(caller_of(request).tenant, await limits_of(request), request)
+    return await _usage(caller_of(request).tenant, await limits_of(request), gateway)
 
 
-async def _usage(tenant: str, limits: TenantLimits, request: Request) -> UsageView:
-    stored = await request.app.state.usage.stored_bytes(tenant)
-    active, today = await request.app.state.job_store.read(JobStore.load, tenant)
-    authentication = authentication_of(request)
+async def _usage(tenant: str, limits: TenantLimits, gateway: Gateway) -> UsageView:
+    stored = await gateway.access.usage.stored_bytes(tenant)
+    active, today = await gateway.job_store.read(JobStore.load, tenant)
+    authentication = gateway.access.authentication
     own = await authentication.run(lambda: authentication.store.own_limits(tenant))
     return UsageView(
         tenant=tenant,
@@ -168,9 +170,8 @@ async def _usage(tenant: str, limits: TenantLimits, request: Request) -> UsageVi
     )
 
 
-async def _require_tenant(name: str, request: Request) -> None:
+async def _require_tenant(name: str, authentication: Authentication) -> None:
     """Raises Problem TENANT_UNKNOWN."""
-    authentication = authentication_of(request)
     if await authentication.run(lambda: authentication.store.tenant(name)) is None:
         raise Problem(404, "TENANT_UNKNOWN", f"there is no tenant {name}", hints=("GET /v1/tenants lists them",))
 

@@ -16,13 +16,14 @@ from fastapi.routing import APIRoute
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.access.limits import limited
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.jobs.capture_objects import is_stored, read_receipt
 from capture2vr.gateway.photo_boxes import BoxQuery, parse_box
 from capture2vr.gateway.resumable import protocol
 from capture2vr.gateway.resumable.store import Upload
-from capture2vr.gateway.resumable.uploads import Part, ResumableUploads, content_of, too_long
+from capture2vr.gateway.resumable.uploads import Part, content_of, too_long
 from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
-from capture2vr.gateway.routes.captures import CaptureView, Continues, uploads_of
+from capture2vr.gateway.routes.captures import CaptureView, Continues
 from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.uploads.receive import batches, require_media_type
@@ -77,9 +78,9 @@ def _document(*, has_body: bool = False, **headers: dict[str, Any]) -> dict[str,
 
 
 @router.options("", status_code=204, dependencies=[_UPLOADS], response_class=Response)
-async def get_tus_options(request: Request) -> Response:
+async def get_tus_options(request: Request, gateway: GatewayOf) -> Response:
     """Ask which version and extensions of tus there are, and how large an upload may be."""
-    most = request.app.state.settings.max_upload_bytes
+    most = gateway.settings.max_upload_bytes
     own = (await limits_of(request)).capture_bytes
     return Response(status_code=204, headers=protocol.option_headers(min(most, own) if own else most))
 
@@ -92,7 +93,7 @@ async def get_tus_options(request: Request) -> Response:
     responses=problems(400, 408, 412, 413, 415, 429, 503, 507),
     openapi_extra=_document(has_body=True, Upload_Length=_NUMBER, Upload_Metadata=_TEXT, Upload_Checksum=_TEXT),
 )
-async def create_upload(request: Request) -> Response:
+async def create_upload(request: Request, gateway: GatewayOf) -> Response:
     """Create an upload, and send its first bytes if you like. `Upload-Metadata` may have `filename`, `filetype` (the
     body's media type: a form, a zip, or anything), and `name` and `collection` of the capture.
     """
@@ -101,7 +102,7 @@ async def create_upload(request: Request) -> Response:
     await _check_length(request, length)
     begins = "content-type" in request.headers
     checksum = _parse_part(request, length) if begins else None
-    resumable, tenant = _resumable(request), caller_of(request).tenant
+    resumable, tenant = gateway.captures.resumable, caller_of(request).tenant
     database, expiry = resumable.database, resumable.expiry()
     upload = await resumable.run(lambda: database.create(tenant, length, metadata, expiry, _MOST_UNFINISHED))
     if upload is None:
@@ -124,9 +125,9 @@ async def create_upload(request: Request) -> Response:
     responses=problems(404, 412, 422),
     openapi_extra=_document(),
 )
-async def get_upload(upload: UploadId, request: Request) -> Response:
+async def get_upload(upload: UploadId, request: Request, gateway: GatewayOf) -> Response:
     """Ask how far an upload is, to go on from there. `Upload-Capture` is the capture that a finished one became."""
-    found = await _resumable(request).find(caller_of(request).tenant, upload)
+    found = await gateway.captures.resumable.find(caller_of(request).tenant, upload)
     headers = {"Upload-Length": str(found.length), "Cache-Control": "no-store", **protocol.state_headers(found)}
     if found.metadata:
         headers["Upload-Metadata"] = protocol.format_metadata(found.metadata)
@@ -141,11 +142,11 @@ async def get_upload(upload: UploadId, request: Request) -> Response:
     responses=problems(400, 404, 408, 409, 412, 413, 415, 422, 423, 429, 503, 507),
     openapi_extra=_document(has_body=True, Upload_Offset=_NUMBER, Upload_Checksum=_TEXT),
 )
-async def continue_upload(upload: UploadId, request: Request) -> Response:
+async def continue_upload(upload: UploadId, request: Request, gateway: GatewayOf) -> Response:
     """Send the bytes from `Upload-Offset` on. What arrived before the connection broke is kept, unless
     `Upload-Checksum` tells the checksum of the whole body.
     """
-    found = await _resumable(request).find(caller_of(request).tenant, upload)
+    found = await gateway.captures.resumable.find(caller_of(request).tenant, upload)
     protocol.require_media_type(request.headers)
     offset = protocol.parse_bytes(request.headers, "Upload-Offset")
     if offset != found.received:
@@ -167,20 +168,20 @@ async def continue_upload(upload: UploadId, request: Request) -> Response:
     responses=problems(404, 412, 422, 423, 503),
     openapi_extra=_document(),
 )
-async def delete_upload(upload: UploadId, request: Request) -> Response:
+async def delete_upload(upload: UploadId, request: Request, gateway: GatewayOf) -> Response:
     """Delete an upload and its bytes for good. The capture that a finished one became stays."""
-    await _discard(request, await _resumable(request).find(caller_of(request).tenant, upload))
+    await _discard(request, await gateway.captures.resumable.find(caller_of(request).tenant, upload))
     return Response(status_code=204)
 
 
 @router.post("/{upload}", dependencies=_TUS, include_in_schema=False, response_class=Response)
-async def override_method(upload: UploadId, request: Request) -> Response:
+async def override_method(upload: UploadId, request: Request, gateway: GatewayOf) -> Response:
     """Answer a POST as the method that X-HTTP-Method-Override names, for clients that can send nothing else."""
     methods = {"PATCH": continue_upload, "HEAD": get_upload, "DELETE": delete_upload}
     named = methods.get(request.headers.get("x-http-method-override", "").upper())
     if named is None:
         raise Problem(405, "METHOD_NOT_ALLOWED", "an upload goes on with PATCH", headers={"Allow": ", ".join(methods)})
-    return await named(upload, request)
+    return await named(upload, request, gateway)
 
 
 @router.post(
@@ -191,7 +192,12 @@ async def override_method(upload: UploadId, request: Request) -> Response:
     responses=problems(400, 404, 409, 413, 415, 422, 423, 429, 503, 507),
 )
 async def finish_upload(
-    upload: UploadId, request: Request, tasks: BackgroundTasks, box: BoxQuery = "", continues: Continues = ""
+    upload: UploadId,
+    request: Request,
+    gateway: GatewayOf,
+    tasks: BackgroundTasks,
+    box: BoxQuery = "",
+    continues: Continues = "",
 ) -> CaptureView:
     """Make the capture of a complete upload. The answer is that of POST /v1/captures; asked again, it is the same.
 
@@ -200,23 +206,24 @@ async def finish_upload(
     rectangle = parse_box(box)
     await request.body()  # there is none: behind it the server tells when the client leaves
     store, tenant = store_of(request), caller_of(request).tenant
-    found = await _resumable(request).find(tenant, upload)
+    found = await gateway.captures.resumable.find(tenant, upload)
     if not found.finished:
-        with request.app.state.limits.upload(tenant, (await limits_of(request)).uploads_at_once):
+        with gateway.access.limits.upload(tenant, (await limits_of(request)).uploads_at_once):
             found = await _make_capture(request, found, store, rectangle, continues)
-    tasks.add_task(_resumable(request).sweep, found, store)
+    tasks.add_task(gateway.captures.resumable.sweep, found, store)
     return await in_thread(lambda: read_receipt(store, CaptureView.model_validate, found.capture))
 
 
 async def _make_capture(request: Request, upload: Upload, store: Store, box: PhotoBox | None, continues: str) -> Upload:
     """Store an upload's capture, unless a gateway that died had stored it already. Raises Problem."""
-    resumable, usage, caller = _resumable(request), request.app.state.usage, caller_of(request)
+    gateway, caller = gateway_of(request), caller_of(request)
+    resumable, usage = gateway.captures.resumable, gateway.access.usage
     allowance = (await usage.allowance(caller.tenant, await limits_of(request))).without(upload.length)
     async with resumable.finishing(upload) as held:
         if not await in_thread(lambda: is_stored(store, held.capture)):
             chunks = await resumable.run(lambda: resumable.database.chunks(held.id))
             body = resumable.body_of(held, chunks, store)
-            await uploads_of(request).accept(request, body, store, box, allowance.check, held.capture, continues)
+            await gateway.captures.uploads.accept(request, body, store, box, allowance.check, held.capture, continues)
         ended = await resumable.run(lambda: resumable.database.finish(held.id, time.time()))
     if ended and caller.key:
         size = await in_thread(lambda: read_receipt(store, lambda receipt: int(receipt["bytes"]), held.capture))
@@ -234,10 +241,10 @@ async def _has_body(request: Request) -> bool:
 
 async def _discard(request: Request, upload: Upload) -> None:
     """Delete an upload and its bytes for good. Raises Problem UPLOAD_LOCKED."""
-    caller = caller_of(request)
-    await _resumable(request).remove(upload, store_of(request))
+    gateway, caller = gateway_of(request), caller_of(request)
+    await gateway.captures.resumable.remove(upload, store_of(request))
     if caller.key and not upload.finished:
-        await request.app.state.usage.add(caller.tenant, -upload.received)
+        await gateway.access.usage.add(caller.tenant, -upload.received)
 
 
 def _parse_part(request: Request, length: int, received: int = 0) -> protocol.Checksum | None:
@@ -255,7 +262,8 @@ def _parse_part(request: Request, length: int, received: int = 0) -> protocol.Ch
 
 async def _append(request: Request, upload: Upload, checksum: protocol.Checksum | None) -> Upload:
     """Append the request's body to an upload. checksum: of the body, if told. Raises Problem, ClientDisconnect."""
-    usage, caller = request.app.state.usage, caller_of(request)
+    gateway, caller = gateway_of(request), caller_of(request)
+    usage = gateway.access.usage
     limits = await limits_of(request)
 
     async def before_chunk(size: int) -> None:
@@ -266,21 +274,17 @@ async def _append(request: Request, upload: Upload, checksum: protocol.Checksum 
             await usage.add(caller.tenant, size)
 
     part = Part(batches(request), checksum, before_chunk, on_stored)
-    with request.app.state.limits.upload(caller.tenant, limits.uploads_at_once):
-        return await _resumable(request).append(upload, part, store_of(request))
+    with gateway.access.limits.upload(caller.tenant, limits.uploads_at_once):
+        return await gateway.captures.resumable.append(upload, part, store_of(request))
 
 
 async def _check_length(request: Request, length: int) -> None:
     """Raises Problem for an upload that is not allowed, or for which there is no space."""
-    most = request.app.state.settings.max_upload_bytes
+    gateway = gateway_of(request)
+    most = gateway.settings.max_upload_bytes
     if length > most:
         detail = f"the upload is too large; at most {most:,} bytes are allowed"
         raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=("send a smaller capture",))
-    allowance = await request.app.state.usage.allowance(caller_of(request).tenant, await limits_of(request))
+    allowance = await gateway.access.usage.allowance(caller_of(request).tenant, await limits_of(request))
     allowance.check(length)
-    uploads_of(request).check_free_space(length)
-
-
-def _resumable(request: Request) -> ResumableUploads:
-    resumable: ResumableUploads = request.app.state.resumable
-    return resumable
+    gateway.captures.uploads.check_free_space(length)

@@ -11,7 +11,8 @@ from pydantic import BaseModel
 
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.errors import Problem
-from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
+from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.routes.assets import Key, add_urls, check_key
 from capture2vr.gateway.routes.read_rules import unknown_asset
 from capture2vr.gateway.routes.store_access import in_thread, store_of
@@ -53,9 +54,9 @@ async def get_version(key: Key, version: Version, request: Request) -> Response:
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 422, 503),
 )
-async def restore_earlier_version(key: Key, version: Version, request: Request) -> RestoredView:
+async def restore_earlier_version(key: Key, version: Version, request: Request, gateway: GatewayOf) -> RestoredView:
     """Publish an earlier version again as the newest one: the undo of an edit. Nothing is computed or deleted."""
-    store, keys = store_of(request), request.app.state.keys
+    store, keys = store_of(request), gateway.keys
     found = await _known(key, lambda: restore_version(store, key, version, keys))
     await _tell_webhooks(request, found)
     return RestoredView(
@@ -101,6 +102,6 @@ async def _tell_webhooks(request: Request, found: Entry) -> None:
         "label": found.names.label,
     }
     event = Event("asset.published", f"{found.key} {found.version}", data)
-    outbox, tenant = request.app.state.outbox, caller_of(request).tenant
-    await authentication_of(request).run(lambda: outbox.enqueue(tenant, event))
-    request.app.state.deliveries.wake()
+    gateway, tenant = gateway_of(request), caller_of(request).tenant
+    await gateway.access.authentication.run(lambda: gateway.webhooks.outbox.enqueue(tenant, event))
+    gateway.webhooks.deliveries.wake()

@@ -8,8 +8,9 @@ from fastapi import APIRouter, Path, Request
 from pydantic import BaseModel, Field
 
 from capture2vr.gateway.access.caller import Scope
-from capture2vr.gateway.access.readers import Kind, Readers, ReadersCache, Thing
+from capture2vr.gateway.access.readers import Kind, Readers, Thing
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.jobs.collection_choice import require_collection
 from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.routes.read_rules import unknown_asset, unknown_collection
@@ -50,11 +51,13 @@ class VisibilityView(BaseModel):
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 415, 422, 503),
 )
-async def set_visibility_of_asset(key: Key, body: VisibilityRequest, request: Request) -> VisibilityView:
+async def set_visibility_of_asset(
+    key: Key, body: VisibilityRequest, request: Request, gateway: GatewayOf
+) -> VisibilityView:
     """Set an asset's visibility. Other gateways, and the CDN, follow within a minute."""
     if not valid_key(key):
         raise Problem(422, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
-    store, keys = store_of(request), request.app.state.keys
+    store, keys = store_of(request), gateway.keys
     try:
         await in_thread(lambda: set_asset_visibility(store, key, body.visibility, keys))
     except FileNotFoundError:
@@ -71,12 +74,14 @@ async def set_visibility_of_asset(key: Key, body: VisibilityRequest, request: Re
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 415, 422, 503),
 )
-async def set_visibility_of_collection(name: Name, body: VisibilityRequest, request: Request) -> VisibilityView:
+async def set_visibility_of_collection(
+    name: Name, body: VisibilityRequest, request: Request, gateway: GatewayOf
+) -> VisibilityView:
     """Set a collection's visibility, which is also that of its assets without one of their own. One that others may
     read lists only what is public.
     """
     require_collection(name, "check the name in the URL")
-    store, keys = store_of(request), request.app.state.keys
+    store, keys = store_of(request), gateway.keys
     try:
         await in_thread(lambda: set_collection_visibility(store, name, body.visibility, keys))
     except FileNotFoundError:
@@ -89,7 +94,7 @@ async def set_visibility_of_collection(name: Name, body: VisibilityRequest, requ
 
 async def _readers(request: Request, kind: Kind, name: str) -> Readers:
     """Return who may read a thing that was changed just now."""
-    readers: ReadersCache = request.app.state.readers
+    readers = gateway_of(request).access.readers
     tenant = caller_of(request).tenant
     readers.forget_all(tenant)
     return await readers.of(Thing(tenant, kind, name))

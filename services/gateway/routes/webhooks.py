@@ -11,11 +11,12 @@ from pydantic import BaseModel, Field
 
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.errors import Problem
-from capture2vr.gateway.routes.access_rules import authentication_of, caller_of, needs
+from capture2vr.gateway.gateway import GatewayOf, gateway_of
+from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.schemas import Label, StrictBody, problems
 from capture2vr.gateway.webhooks.outbox import Message
 from capture2vr.gateway.webhooks.send import Refused
-from capture2vr.gateway.webhooks.store import Webhook, WebhookStore
+from capture2vr.gateway.webhooks.store import Webhook
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
 
@@ -121,15 +122,15 @@ _OWNER = [needs(Scope.MANAGE)]
 
 
 @router.post("", status_code=201, response_model=NewWebhookView, dependencies=_OWNER, responses=problems(409, 415, 422))
-async def create_webhook(body: WebhookRequest, request: Request) -> NewWebhookView:
+async def create_webhook(body: WebhookRequest, request: Request, gateway: GatewayOf) -> NewWebhookView:
     """Create a webhook. Its messages follow Standard Webhooks: signed, retried for a day, each with one id."""
     try:
-        await request.app.state.deliveries.check(body.url)
+        await gateway.webhooks.deliveries.check(body.url)
     except (Refused, httpx.InvalidURL, OSError) as error:
         hints = ("name an https:// URL that the internet reaches",)
         raise Problem(422, "WEBHOOK_URL_REFUSED", f"no message is sent to this URL: {error}", hints=hints) from None
-    store, tenant = _store(request), caller_of(request).tenant
-    run = authentication_of(request).run
+    store, tenant = gateway.webhooks.store, caller_of(request).tenant
+    run = gateway.access.authentication.run
     made = await run(lambda: store.create(tenant, body.url, body.events, body.label, most=_MOST))
     if made is None:
         detail = f"there are {_MOST} webhooks already, as many as are allowed"
@@ -139,10 +140,10 @@ async def create_webhook(body: WebhookRequest, request: Request) -> NewWebhookVi
 
 
 @router.get("", response_model=Webhooks, dependencies=_OWNER)
-async def list_webhooks(request: Request) -> Webhooks:
+async def list_webhooks(request: Request, gateway: GatewayOf) -> Webhooks:
     """List the tenant's webhooks."""
-    store, tenant = _store(request), caller_of(request).tenant
-    found = await authentication_of(request).run(lambda: store.all(tenant))
+    store, tenant = gateway.webhooks.store, caller_of(request).tenant
+    found = await gateway.access.authentication.run(lambda: store.all(tenant))
     return Webhooks(webhooks=[WebhookView.of(hook) for hook in found])
 
 
@@ -153,41 +154,41 @@ async def get_webhook(webhook: HookId, request: Request) -> WebhookView:
 
 
 @router.delete("/{webhook}", status_code=204, dependencies=_OWNER, responses=problems(404, 422))
-async def delete_webhook(webhook: HookId, request: Request) -> Response:
+async def delete_webhook(webhook: HookId, request: Request, gateway: GatewayOf) -> Response:
     """Delete a webhook and its messages. One that is being sent just now may still arrive."""
     hook = await _require(webhook, request)
-    await authentication_of(request).run(lambda: _store(request).delete(hook.tenant, webhook))
+    await gateway.access.authentication.run(lambda: gateway.webhooks.store.delete(hook.tenant, webhook))
     return Response(status_code=204)
 
 
 @router.put("/{webhook}/state", response_model=WebhookView, dependencies=_OWNER, responses=problems(404, 415, 422))
-async def set_webhook_state(webhook: HookId, body: StateRequest, request: Request) -> WebhookView:
+async def set_webhook_state(webhook: HookId, body: StateRequest, request: Request, gateway: GatewayOf) -> WebhookView:
     """Disable a webhook, or enable it again."""
     hook = await _require(webhook, request)
-    store = _store(request)
-    await authentication_of(request).run(lambda: store.set_disabled(hook.tenant, webhook, disabled=body.disabled))
-    request.app.state.deliveries.wake()
+    store = gateway.webhooks.store
+    await gateway.access.authentication.run(lambda: store.set_disabled(hook.tenant, webhook, disabled=body.disabled))
+    gateway.webhooks.deliveries.wake()
     return WebhookView.of(await _require(webhook, request))
 
 
 @router.post("/{webhook}/rotate", response_model=NewWebhookView, dependencies=_OWNER, responses=problems(404, 422))
-async def rotate_webhook(webhook: HookId, request: Request) -> NewWebhookView:
+async def rotate_webhook(webhook: HookId, request: Request, gateway: GatewayOf) -> NewWebhookView:
     """Give a webhook a new secret. For a day its messages are signed with the old one too."""
     hook = await _require(webhook, request)
-    store = _store(request)
-    secret = await authentication_of(request).run(lambda: store.rotate(hook.tenant, webhook))
+    store = gateway.webhooks.store
+    secret = await gateway.access.authentication.run(lambda: store.rotate(hook.tenant, webhook))
     return NewWebhookView(**_fields(hook), secret=secret)
 
 
 @router.post(
     "/{webhook}/test", status_code=202, response_model=MessageView, dependencies=_OWNER, responses=problems(404, 422)
 )
-async def test_webhook(webhook: HookId, request: Request) -> MessageView:
+async def test_webhook(webhook: HookId, request: Request, gateway: GatewayOf) -> MessageView:
     """Send a test message, of the type webhook.test."""
     hook = await _require(webhook, request)
-    store = _store(request)
-    message = await authentication_of(request).run(lambda: store.send_test(hook.tenant, webhook))
-    request.app.state.deliveries.wake()
+    store = gateway.webhooks.store
+    message = await gateway.access.authentication.run(lambda: store.send_test(hook.tenant, webhook))
+    gateway.webhooks.deliveries.wake()
     return MessageView.of(message)
 
 
@@ -195,13 +196,14 @@ async def test_webhook(webhook: HookId, request: Request) -> MessageView:
 async def list_messages(
     webhook: HookId,
     request: Request,
+    gateway: GatewayOf,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[float, Query(ge=0, le=1e12, description="`next` of the previous page; 0: the newest.")] = 0.0,
 ) -> MessagePage:
     """List a webhook's messages of the last week, and what became of them."""
     hook = await _require(webhook, request)
-    store, behind = _store(request), before or float("inf")
-    found = await authentication_of(request).run(
+    store, behind = gateway.webhooks.store, before or float("inf")
+    found = await gateway.access.authentication.run(
         lambda: store.page(hook.tenant, webhook, limit=limit + 1, before=behind)
     )
     more = found[limit - 1].created if len(found) > limit else None
@@ -215,31 +217,26 @@ async def list_messages(
     dependencies=_OWNER,
     responses=problems(404, 422),
 )
-async def redeliver_message(webhook: HookId, message: MessageId, request: Request) -> MessageView:
+async def redeliver_message(webhook: HookId, message: MessageId, request: Request, gateway: GatewayOf) -> MessageView:
     """Send a message again, with the same id."""
     hook = await _require(webhook, request)
-    store = _store(request)
-    found = await authentication_of(request).run(lambda: store.redeliver(hook.tenant, webhook, message))
+    store = gateway.webhooks.store
+    found = await gateway.access.authentication.run(lambda: store.redeliver(hook.tenant, webhook, message))
     if found is None:
         hints = ("messages are kept for a week after they were delivered",)
         raise Problem(404, "MESSAGE_UNKNOWN", f"there is no message {message}", hints=hints)
-    request.app.state.deliveries.wake()
+    gateway.webhooks.deliveries.wake()
     return MessageView.of(found)
 
 
 async def _require(webhook: str, request: Request) -> Webhook:
     """Raises Problem WEBHOOK_UNKNOWN."""
-    store, tenant = _store(request), caller_of(request).tenant
-    found = await authentication_of(request).run(lambda: store.get(tenant, webhook))
+    gateway, tenant = gateway_of(request), caller_of(request).tenant
+    found = await gateway.access.authentication.run(lambda: gateway.webhooks.store.get(tenant, webhook))
     if found is None:
         hints = ("GET /v1/webhooks lists them",)
         raise Problem(404, "WEBHOOK_UNKNOWN", f"there is no webhook {webhook}", hints=hints)
     return found
-
-
-def _store(request: Request) -> WebhookStore:
-    store: WebhookStore = request.app.state.webhooks
-    return store
 
 
 def _fields(hook: Webhook) -> dict[str, Any]:

@@ -25,7 +25,7 @@ class CheckProcesses:
     """Checks uploads, a few at once, each in a process that ends with its check."""
 
     def __init__(self, server: ForkServer | None = None) -> None:
-        self._at_once: CapacityLimiter | None = None
+        self._at_once = CapacityLimiter(_AT_ONCE)
         self._server = server or ForkServer.of("capture2vr.gateway.uploads.check_work")
 
     def start(self) -> None:
@@ -41,8 +41,6 @@ class CheckProcesses:
 
         Raises Problem.
         """
-        if self._at_once is None:  # belongs to the event loop that serves the requests
-            self._at_once = CapacityLimiter(_AT_ONCE)
         async with self._at_once:
             return _result(order, await talk(self._server.fork(), asdict(order)))
 

@@ -21,6 +21,7 @@ import capture2vr
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api.grpc_client import CHUNK_BYTES as CHUNK_BYTES  # read by those who send captures
 from capture2vr.edge.api.grpc_client import RUN_S, SILENCE_S, GrpcClient, StreamEnded, file_chunks
+from capture2vr.edge.api.header_options import header_fields, wire_box
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.jobs.job import Job
 from capture2vr.gateway.jobs.reports import (
@@ -44,7 +45,6 @@ from capture2vr.gateway.workers.worker_types import (
     WorkerStatus,
     WorkerUnreachable,
 )
-from capture2vr.order.edits import NO_EDITS
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.process.grpc_security import NO_CREDENTIALS, ClientCredentials
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
@@ -286,7 +286,7 @@ class WorkerPool:
 
 
 async def _inspect(client: GrpcClient, archive: Path, box: PhotoBox | None) -> Inspection:
-    header = pb.Header(job=archive.stem, capture_bytes=archive.stat().st_size, box=_wire_box(box))
+    header = pb.Header(job=archive.stem, capture_bytes=archive.stat().st_size, box=wire_box(box))
     try:
         answer = await client.inspect(header, file_chunks(archive), INSPECT_S)
     except grpc.aio.AioRpcError as error:
@@ -298,32 +298,16 @@ async def _inspect(client: GrpcClient, archive: Path, box: PhotoBox | None) -> I
 
 
 def _header(job: Job, size: int) -> pb.Header:
-    order = job.order
     return pb.Header(
         job=job.id,
         fence=job.lease.fence,
-        preset=order.preset,
-        asset_key=order.asset_key,
-        target=order.target,
+        asset_key=job.order.asset_key,
         capture_bytes=size,
-        label=order.label,
-        description=order.description,
-        labels=order.labels,
-        longest_m=order.longest_m or 0.0,
-        collection=order.collection,
-        fill=order.fill,
-        cut=order.cut,
-        box=_wire_box(PhotoBox.of(order.box) if order.box else None),
         tenant=job.tenant,
         token=job.token,
-        visibility=order.visibility,
-        capture=order.capture,
-        edits="" if order.edits == NO_EDITS else order.edits.text,
+        capture=job.order.capture,
+        **header_fields(job.order.options),
     )
-
-
-def _wire_box(box: PhotoBox | None) -> pb.Box | None:
-    return pb.Box(left=box.left, top=box.top, right=box.right, bottom=box.bottom) if box else None
 
 
 async def _reports(events: AsyncGenerator[pb.Event, None]) -> AsyncGenerator[Report, None]:

@@ -6,21 +6,26 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeVar
 
 from capture2vr.storage.bundle import hash_in_name, sha256_hex
-from capture2vr.storage.catalogue.collection import Index, Row, Shard
+from capture2vr.storage.catalogue.collection import Index, Row, Shard, load_shard
 from capture2vr.storage.catalogue.faults import MANIFEST_CHANGED, SHARD_MISSING, CatalogueFault
 from capture2vr.storage.store import Store
+from capture2vr.storage.tenant_store import store_of_tenant
 
 LoadRows = Callable[[Shard], Iterable[Row]]
 """Reads the rows of a shard."""
+LoadTenantRows = Callable[[str, Shard], Iterable[Row]]
+"""Reads the rows of a tenant's shard."""
 
 _T = TypeVar("_T")
 
 DOCUMENT_BYTES = 16 << 20
 """Limit when reading a shard or manifest from an untrusted server; real ones are smaller."""
 
+_CACHED_SHARDS = 64  # parsed shards in memory, 0.7 MB each at most: every search reads all shards of its collection
 _FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")  # a safe file name: `pull` writes it into the user's folder
 _TRIES = 3  # a shard is deleted after 32 newer ones; the index of that moment lists another
 _PREFIX = "collections/"
@@ -78,6 +83,13 @@ def _asset_file(file: str, name: str, sha256: str, size: int) -> AssetFile:
     if len(bytes.fromhex(sha256)) != 32:
         raise ValueError(f"{file} has no sha256")
     return AssetFile(file, str(name), sha256.lower(), int(size))
+
+
+def tenant_rows(store: Store) -> LoadTenantRows:
+    """Return a function that reads the rows of a tenant's shard and caches them: shards are named by hash, and never
+    change.
+    """
+    return lru_cache(maxsize=_CACHED_SHARDS)(lambda tenant, shard: load_shard(store_of_tenant(store, tenant), shard))
 
 
 def find_row(index: Index, key: str, rows: LoadRows) -> tuple[Shard, Row] | None:

@@ -26,6 +26,7 @@ from capture2vr.edge.points.nouns import Points, TextureView, UnitFrame
 from capture2vr.edge.preset import Preset
 from capture2vr.edge.render.photo_comparison import PhotoFigures, SurfaceCheck
 from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
 from tests.support import surfaces
 from tests.support.posed_pictures import SIDE, photographs, printed
@@ -170,7 +171,7 @@ def test_marked_pictures_are_jpegs_of_photo_beside_rendering(coloured: bool) -> 
 def test_a_capture_of_many_pictures_ends_with_their_figures() -> None:
     frames = film(table_with_sphere(), orbit(16, radius=0.7, height=0.5))
     preset = Preset("coarse", resolution=48, most_points=10_000, lod_faces=(2_000,))
-    steps = reconstruct(Capture("rgbd", "test", frames=frames), preset, cut="scene")
+    steps = reconstruct(Capture("rgbd", "test", frames=frames), preset, JobOptions(cut="scene"))
     *_, bundle = [step for step in steps if isinstance(step, Bundle)]
     figures = bundle.manifest["quality"]["photos"]
     assert figures["photos"] == 2

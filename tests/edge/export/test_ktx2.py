@@ -23,10 +23,12 @@ from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.export.ktx2 import VERSION, Ktx2Encoder, Ktx2Error, Ktx2Header
 from capture2vr.edge.field.device import find_device
 from capture2vr.edge.jobs.available_presets import known_presets
+from capture2vr.edge.jobs.fit_job import FieldFitter
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError
 from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.memory import MemoryStore
 from tests.edge.export.test_glb import PACKINGS, PICTURED
 from tests.referees.glb_reader import Glb
@@ -162,15 +164,14 @@ def test_run_looks_for_the_encoder_before_it_reads_the_capture(monkeypatch: pyte
     for folder, why in (("", "EDGE_KTX2 is not set"), (str(tmp_path), "npm has not installed")):
         monkeypatch.setenv("EDGE_KTX2", folder)
         with pytest.raises(BadInput, match=why):
-            run_capture(
-                capture, tmp_path / "out", RunOptions(target="web-ktx2"), preset="draft", device="cpu", resolution=0
-            )
+            run_capture(capture, tmp_path / "out", RunOptions(JobOptions("draft", target="web-ktx2"), device="cpu"))
 
 
 def test_a_worker_with_an_encoder_takes_such_jobs(ktx2: Ktx2Encoder) -> None:  # noqa: F811
     header = pb.Header(job="job_1", asset_key="dress", target="web-ktx2")
-    work = Reconstructor(MemoryStore(), known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), encode=ktx2)
-    assert ReconstructionRequest.of(header, work.offer).target == "web-ktx2"
+    presets, memory = known_presets(None), MemoryBudget(1 << 40)
+    work = Reconstructor(FieldFitter(MemoryStore(), presets, find_device("cpu"), memory, encode=ktx2))
+    assert ReconstructionRequest.of(header, work.offer).options.target == "web-ktx2"
     with pytest.raises(RefusedError, match="KTX2_UNAVAILABLE"):
         ReconstructionRequest.of(header, replace(work.offer, ktx2=False))
 

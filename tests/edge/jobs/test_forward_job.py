@@ -32,6 +32,7 @@ from capture2vr.edge.field.device import find_device
 from capture2vr.edge.jobs import central_client
 from capture2vr.edge.jobs.available_presets import known_presets
 from capture2vr.edge.jobs.central_client import Central, CentralUnavailable, Timeouts
+from capture2vr.edge.jobs.fit_job import FieldFitter
 from capture2vr.edge.jobs.points_archive import VERSION, write_prepared
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.worker.capabilities import Capabilities
@@ -97,7 +98,7 @@ def all_presets(tmp_path: Path) -> Path:
 
 
 def real_work(store: Store, presets: Path | None = None, central: Central | None = None) -> Reconstructor:
-    return Reconstructor(store, known_presets(presets), find_device("cpu"), MemoryBudget(PLENTY), central)
+    return Reconstructor(FieldFitter(store, known_presets(presets), find_device("cpu"), MemoryBudget(PLENTY)), central)
 
 
 @asynccontextmanager

@@ -22,13 +22,14 @@ from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.asset.target import measure_cost
 from capture2vr.edge.field.device import find_device
 from capture2vr.edge.jobs.available_presets import known_presets
+from capture2vr.edge.jobs.fit_job import FieldFitter
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.preset import memory_bytes
 from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import PublishedAsset, publish
+from capture2vr.storage.catalogue.publish import Publish, PublishedAsset, publish
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
@@ -54,9 +55,14 @@ async def client(store: MemoryStore, scratch: Path) -> AsyncIterator[Client]:
         yield client
 
 
+def fitter(store: MemoryStore, publish: Publish = publish) -> FieldFitter:
+    """A fitter with the product's presets and memory for all of them, on the CPU."""
+    return FieldFitter(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), publish)
+
+
 def real_work(store: MemoryStore, presets: Path | None = None, memory_bytes: int = 1 << 40) -> Reconstructor:
     """Work on the CPU, with the product's presets and those of a folder."""
-    return Reconstructor(store, known_presets(presets), find_device("cpu"), MemoryBudget(memory_bytes))
+    return Reconstructor(FieldFitter(store, known_presets(presets), find_device("cpu"), MemoryBudget(memory_bytes)))
 
 
 def archive(folder: Path, **files: bytes) -> bytes:
@@ -154,7 +160,7 @@ async def test_an_asset_enters_the_collection_of_its_job_or_of_its_worker(
     store: MemoryStore, scratch: Path, tmp_path: Path
 ) -> None:
     sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
-    work = Reconstructor(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), collection="house")
+    work = Reconstructor(fitter(store), collection="house")
     async with worker(work, scratch) as client:
         named = await client.ended(sent, "job_1", asset_key="hers", preset="draft", collection="ada")
         plain = await client.ended(sent, "job_2", asset_key="ours", preset="draft")
@@ -172,7 +178,7 @@ async def test_a_key_of_another_collection_is_refused_by_name(
     sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
     publish(Bundle("preview", {"mesh.ply": b"hers"}, {"lods": []}), store, key="shoe", collection="ada")
     alone = partial(publish, allow_other_collections=False)
-    work = Reconstructor(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), publish=alone)
+    work = Reconstructor(fitter(store, publish=alone))
     async with worker(work, scratch) as client:
         failed = (await client.ended(sent, asset_key="shoe", preset="draft", collection="bob"))[-1].failure
     assert (failed.code, failed.retryable) == ("KEY_ELSEWHERE", False)
@@ -197,7 +203,7 @@ async def test_a_job_computes_in_a_stream_of_its_own(
         return publish(*asset, **where)
 
     monkeypatch.setattr("capture2vr.edge.jobs.reconstruct_job.own_stream", stream)
-    work = Reconstructor(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), publish=look)
+    work = Reconstructor(fitter(store, publish=look))
     async with worker(work, scratch) as client:
         await client.ended(archive(tmp_path, dome_ply=hemisphere_ply(200)), asset_key="dome", preset="draft")
     assert set(seen) == {("of cpu",)}

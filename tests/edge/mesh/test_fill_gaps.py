@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from capture2vr.edge.arrays import Bools, Floats, Ints
 from capture2vr.edge.mesh.edges import border_edges, edges_of
-from capture2vr.edge.mesh.fill_gaps import Fill, FilledMesh, fill_gaps
+from capture2vr.edge.mesh.fill_gaps import FilledMesh, fill_gaps
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.topology import compact
+from capture2vr.order.option_table import Fill
 
 
 def nobody_sees_through(places: Floats, normals: Floats) -> Ints:

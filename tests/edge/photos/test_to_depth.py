@@ -39,6 +39,7 @@ from capture2vr.edge.preset import load_preset
 from capture2vr.edge.progress import Progress
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
 from tests.support.patience import CANCEL_S
 from tests.support.walkaround import Walkaround, render_walkaround
@@ -362,9 +363,8 @@ def test_a_black_capture_says_so(walk: Walkaround) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures")
 def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Capture, walk: Walkaround) -> None:
-    steps = list(
-        reconstruct(posed, replace(load_preset("draft"), resolution=48), cut="object", names=AssetNames("Shell"))
-    )
+    options = JobOptions(cut="object", names=AssetNames("Shell"))
+    steps = list(reconstruct(posed, replace(load_preset("draft"), resolution=48), options))
     stages = list(dict.fromkeys(step.stage for step in steps if isinstance(step, Progress)))
     assert stages[:2] == ["ALIGNING", "POINT_CLOUD"]
     fractions = [step.fraction for step in steps if isinstance(step, Progress)]

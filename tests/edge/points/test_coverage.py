@@ -19,6 +19,7 @@ from capture2vr.edge.fusion.coverage import unseen_sides
 from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.points.nouns import Points, UnseenSide
 from capture2vr.edge.preset import load_preset
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
 from tests.support.scenes import PHONE, Sensor, film, look_at, orbit, plane, scene
 
@@ -150,7 +151,7 @@ def test_without_an_up_nothing_is_told() -> None:
 @pytest.mark.usefixtures("small_pictures")
 def test_the_manifest_tells_it_in_the_assets_frame(half: Capture) -> None:
     """Z is up in the capture and y in the asset: nobody stood at the capture's -y, the asset's +z."""
-    steps = reconstruct(half, replace(load_preset("draft"), resolution=40), cut="object")
+    steps = reconstruct(half, replace(load_preset("draft"), resolution=40), JobOptions(cut="object"))
     *_, bundle = [step for step in steps if isinstance(step, Bundle)]
     (side, *_) = bundle.manifest["capture"]["unseen"]
     assert set(side) == {"advice", "toward", "share"}

@@ -27,6 +27,7 @@ from capture2vr.edge.single_photo.network import BINS, POINTS, Pixels
 from capture2vr.edge.single_photo.prediction_views import VIEWS, _choose_yaw, predict_from_views
 from capture2vr.edge.single_photo.weights import SHIPPED, load_pixels
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
 from tests.bench.single_photo_training import __main__ as training_command
 from tests.bench.single_photo_training.batches import HELD_OUT, held_out_batch, training_batches
@@ -323,7 +324,8 @@ def test_weights_that_are_missing_or_of_another_head_are_named(tmp_path: Path) -
 @pytest.mark.usefixtures("small_pictures")
 def test_one_photo_in_an_asset_out_that_says_it_is_a_guess(tmp_path: Path, dress: tuple[Bytes, torch.Tensor]) -> None:
     cv2.imwrite(str(tmp_path / "dress.png"), dress[0][..., ::-1])
-    steps = reconstruct(read_capture(tmp_path), replace(load_preset("draft"), resolution=48), names=AssetNames("Dress"))
+    preset, options = replace(load_preset("draft"), resolution=48), JobOptions(names=AssetNames("Dress"))
+    steps = reconstruct(read_capture(tmp_path), preset, options)
     (bundle,) = (step for step in steps if isinstance(step, Bundle))
     manifest = bundle.manifest
     assert manifest["origin"] == "guess"

@@ -10,6 +10,7 @@ import pytest
 
 from capture2vr.edge.capture.nouns import Capture, Cloud
 from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.preset import load_preset
 from capture2vr.edge.progress import Progress
@@ -33,7 +34,8 @@ def capture() -> Capture:
 def bundles(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Bundle], MemoryStore]:
     """What is yielded, published at once as a worker does."""
     store, made = MemoryStore(), []
-    for step in reconstruct(capture(), PRESET, checkpoint=tmp_path_factory.mktemp("job") / "1.checkpoint"):
+    resources = JobResources(checkpoint=tmp_path_factory.mktemp("job") / "1.checkpoint")
+    for step in reconstruct(capture(), PRESET, resources=resources):
         if isinstance(step, Bundle):
             publish(step, store, key="hall", job="job")
             made.append(step)
@@ -85,7 +87,7 @@ def test_a_tile_that_fails_leaves_the_preview(tmp_path: Path) -> None:
             for path in (tiles_folder(checkpoint) / "points").glob("*.npz"):
                 path.write_bytes(b"a disk error")
 
-    steps = reconstruct(capture(), PRESET, checkpoint=checkpoint, watch=spoil)
+    steps = reconstruct(capture(), PRESET, resources=JobResources(checkpoint=checkpoint), watch=spoil)
     with pytest.raises(EdgeError, match=r"tile \d+-\d+-\d+ of the scene failed 3 times"):
         done.extend(step for step in steps if isinstance(step, Bundle))
     assert [bundle.state for bundle in done] == ["preview"]

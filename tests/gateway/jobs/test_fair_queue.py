@@ -16,8 +16,9 @@ from capture2vr.gateway.jobs.job import Job, Order
 from capture2vr.gateway.jobs.reports import RunFinished, VersionPublished
 from capture2vr.gateway.jobs.state_machine import Retry, apply_reports, lease_to_worker, requeue_refused
 from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.order.job_options import JobOptions
 
-ORDER = Order("cap_1", "draft", "dress")
+ORDER = Order("cap_1", "dress", JobOptions("draft"))
 LATE = 1e12
 
 
@@ -77,7 +78,8 @@ def test_a_tenant_that_runs_nothing_is_before_one_that_runs_some(store: JobStore
 
 def test_the_oldest_job_that_may_start_is_first_whatever_its_preset(store: JobStore) -> None:
     made = [
-        store.create("ada", replace(ORDER, preset=preset)) for preset in ("scene", "fine", "draft", "fine", "draft")
+        store.create("ada", replace(ORDER, options=JobOptions(preset)))
+        for preset in ("scene", "fine", "draft", "fine", "draft")
     ]
 
     def claimed(now: float, *presets: str) -> int | None:

@@ -21,11 +21,12 @@ from capture2vr.gateway.jobs.job import Order
 from capture2vr.gateway.jobs.other_gateways import OtherGateways
 from capture2vr.gateway.jobs.state_machine import lease_to_worker, request_cancel, requeue_refused
 from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.tenant_store import DEFAULT_TENANT as HOME
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, memory, start, worker
 from tests.support.patience import PATIENCE_S
 
-ORDER = Order("cap_1", "draft", "dress")
+ORDER = Order("cap_1", "dress", JobOptions("draft"))
 _LISTENERS = "FROM pg_stat_activity WHERE query LIKE 'LISTEN %' AND datname = current_database()"
 
 

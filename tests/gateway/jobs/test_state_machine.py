@@ -37,10 +37,11 @@ from capture2vr.gateway.jobs.state_machine import (
     requeue_refused,
     take_over,
 )
+from capture2vr.order.job_options import JobOptions
 
 RETRY = Retry(attempts=3, pause_s=1.0)
 LOST = Problem(503, "WORKER_LOST", "lost", retryable=True)
-ORDER = Order("cap_1", "draft", "dress")
+ORDER = Order("cap_1", "dress", JobOptions("draft"))
 
 stages = st.sampled_from(["", "VALIDATING", "POINT_CLOUD", "FITTING", "PUBLISHING"])
 fractions = st.floats(-1.0, 2.0)

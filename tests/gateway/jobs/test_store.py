@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -28,9 +28,13 @@ from capture2vr.gateway.jobs.state_machine import (
     take_over,
 )
 from capture2vr.gateway.jobs.store import JOB_ID, JobStore, NextJob, Slot, SlotTaken, new_job_id
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.job_options import JobOptions
+from capture2vr.order.photo_box import PhotoBox
 from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
-ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object", box=(0.25, 0.125, 0.75, 1.0))
+OPTIONS = JobOptions("draft", cut="object", box=PhotoBox(0.25, 0.125, 0.75, 1.0), names=AssetNames("Dress"))
+ORDER = Order("cap_1", "dress", OPTIONS)
 RETRY = Retry(3, 1.0)
 HOME = DEFAULT_TENANT
 
@@ -70,11 +74,11 @@ def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> N
 def test_an_order_of_before_the_cut_keeps_its_choice(store: JobStore, url: str, isolate: bool | None, cut: str) -> None:
     made = store.create(HOME, ORDER)
     engine = open_engine(url)
-    older = {name: value for name, value in asdict(ORDER).items() if name != "cut"} | {"isolate": isolate}
+    older = {name: value for name, value in ORDER.as_json.items() if name != "cut"} | {"isolate": isolate}
     with engine.begin() as connection:
         connection.execute(tables.jobs.update().where(tables.jobs.c.id == made.id).values(order=older))
     engine.dispose()
-    assert store.get(HOME, made.id).order == replace(ORDER, cut=cut)
+    assert store.get(HOME, made.id).order == replace(ORDER, options=replace(OPTIONS, cut=cut))
 
 
 @given(st.floats(1.7e9, 2.2e9), st.integers(0, 1 << 20))

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from capture2vr.gateway.app import create_app
 from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.gateway import gateway_in
 from capture2vr.gateway.jobs.capture_objects import new_capture
 from capture2vr.gateway.resumable.expiry import KEEP_S, Expiry
 from capture2vr.gateway.resumable.store import UploadStore
@@ -55,8 +56,13 @@ class Site:
 
     @property
     def expiry(self) -> Expiry:
-        state = self.apps[0].state
-        return Expiry(state.resumable, self.store, state.usage.add)
+        gateway = gateway_in(self.apps[0])
+        return Expiry(gateway.captures.resumable, self.store, gateway.access.usage.add)
+
+    @property
+    def uploads(self) -> UploadStore:
+        """The rows of all uploads."""
+        return gateway_in(self.apps[0]).captures.resumable.database
 
     def chunks(self) -> list[str]:
         """Names of the objects of uploads."""
@@ -81,9 +87,10 @@ async def site(folder: Path, store: Store, gateways: int = 1, **options: Any) ->
     async with AsyncExitStack() as stack:
         found = Site(store, [], [])
         for number in range(gateways):
-            app = create_app(GatewaySettings(data_dir=folder / f"gateway{number}", **shared), store)
-            url = await stack.enter_async_context(listening(app))
-            app.state.resumable.chunk_bytes = _CHUNK_BYTES
+            settings = GatewaySettings(data_dir=folder / f"gateway{number}", **shared)
+            app = create_app(settings, store)
+            url = await stack.enter_async_context(listening(app, settings))
+            gateway_in(app).captures.resumable.chunk_bytes = _CHUNK_BYTES
             found.apps.append(app)
             client = httpx.AsyncClient(base_url=url, timeout=PATIENCE_S)
             found.clients.append(await stack.enter_async_context(client))
@@ -265,7 +272,7 @@ class TestCaptures:
 
     async def test_a_gateway_that_died_behind_the_store_made_it_already(self, one: Site) -> None:
         upload = (await create(one.client, 100, body=cloud(100), filename="a.ply")).headers["Location"]
-        database: UploadStore = one.apps[0].state.resumable.database
+        database = one.uploads
         found = database.get("default", upload.rpartition("/")[2], time.time())
         assert found is not None
         planned = new_capture()
@@ -462,7 +469,7 @@ class TestExpiry:
         upload = (await create(one.client, 200, body=cloud(100), filename="a.ply")).headers["Location"]
         identity = upload.rpartition("/")[2]
         one.store.put(f"uploads/{identity}.000000000000100.dead", b"x", content_type=PART)
-        database: UploadStore = one.apps[0].state.resumable.database
+        database = one.uploads
         assert (await one.client.delete(upload, headers=TUS)).status_code == 204
         assert one.chunks() == []
         late = f"uploads/{identity}.000000000000100.late"
@@ -473,7 +480,7 @@ class TestExpiry:
 
     async def test_an_archive_without_a_receipt_goes_too(self, one: Site) -> None:
         upload = (await create(one.client, 100, body=cloud(100), filename="a.ply")).headers["Location"]
-        database: UploadStore = one.apps[0].state.resumable.database
+        database = one.uploads
         found = database.get("default", upload.rpartition("/")[2], time.time())
         assert found is not None
         database.lease(found, "dead", "cap_dead", time.time())

@@ -106,7 +106,7 @@ async def test_a_key_in_the_url_is_refused_and_not_logged(tmp_path: Path, caplog
             answer = await client.get(path)
             assert await code_of(answer) == (400, "KEY_IN_URL")
             assert secret not in answer.text
-    logged = [record for record in caplog.records if record.name.startswith("services.")]
+    logged = [record for record in caplog.records if record.name.startswith("capture2vr.")]
     assert logged
     assert not [record for record in logged if secret in record.getMessage() or secret in str(record.__dict__)]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 
 import httpx
 import pytest
-from fastapi import FastAPI
 
 from capture2vr.gateway.app import create_app
 from capture2vr.gateway.settings import GatewaySettings
@@ -23,21 +23,15 @@ from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Store
 from tests.storage.catalogue.test_signing import ONE, TWO
 from tests.support.bundles import Crash, CrashingStore, bundle, listed
+from tests.support.in_process_gateway import answering
 
 SIGNED = Keys(signers=(ONE,))
 INDEX = index_name("default")
 
 
-def app_of(folder: Path, store: Store, keys: Keys = SIGNED) -> FastAPI:
-    return create_app(GatewaySettings(data_dir=folder / "data", workers=(), open=True), store, keys)
-
-
-def client(folder: Path, store: Store, keys: Keys = SIGNED) -> httpx.AsyncClient:
-    return client_of(app_of(folder, store, keys))
-
-
-def client_of(app: FastAPI) -> httpx.AsyncClient:
-    return httpx.AsyncClient(transport=httpx.ASGITransport(app, raise_app_exceptions=False), base_url="http://gateway")
+def client(folder: Path, store: Store, keys: Keys = SIGNED) -> AbstractAsyncContextManager[httpx.AsyncClient]:
+    """A gateway that has been started."""
+    return answering(create_app(GatewaySettings(data_dir=folder / "data", workers=(), open=True), store, keys))
 
 
 @pytest.fixture
@@ -55,10 +49,8 @@ def store() -> MemoryStore:
 
 @pytest.fixture
 async def gateway(tmp_path: Path, store: MemoryStore) -> AsyncIterator[httpx.AsyncClient]:
-    """A gateway that has been started: removing and restoring tell webhooks, which are in its database."""
-    app = app_of(tmp_path, store)
-    async with app.router.lifespan_context(app), client_of(app) as client:
-        yield client
+    async with client(tmp_path, store) as gateway:
+        yield gateway
 
 
 async def test_the_index_is_what_the_store_has(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
@@ -78,21 +70,21 @@ async def test_everything_can_be_checked_from_the_index_on(tmp_path: Path) -> No
     """As a client would: the keys from /v1/keys, the objects below `base`."""
     local = LocalStore(tmp_path / "objects")
     publish(bundle(), local, key="dress", keys=SIGNED)
-    gateway = client(tmp_path, local)
-    (key,) = (await gateway.get("/v1/keys")).json()["keys"]
-    believed = public_key(base64.b64decode(key["ed25519"]))
-    assert (believed.id, believed) == (key["key"], ONE.public)
-    answer = await gateway.get("/v1/collections/default")
-    known = {INDEX: answer.content}
-    told = answer.json()
-    check_signatures("x", told["signed"].encode(), told["signatures"], (believed,))
-    for head in [*local.list("assets/"), *local.list("collections/default/shard.")]:
-        got = await gateway.get(told["base"] + head.name)
-        assert got.status_code == 200
-        assert "immutable" in got.headers["cache-control"]
-        known[head.name] = got.content
-    assert not any(line.faults for line in verify(lambda name: [known[name]], "default", (believed,)))
-    assert (await gateway.get(told["base"] + INDEX)).headers["cache-control"] == "no-cache"
+    async with client(tmp_path, local) as gateway:
+        (key,) = (await gateway.get("/v1/keys")).json()["keys"]
+        believed = public_key(base64.b64decode(key["ed25519"]))
+        assert (believed.id, believed) == (key["key"], ONE.public)
+        answer = await gateway.get("/v1/collections/default")
+        known = {INDEX: answer.content}
+        told = answer.json()
+        check_signatures("x", told["signed"].encode(), told["signatures"], (believed,))
+        for head in [*local.list("assets/"), *local.list("collections/default/shard.")]:
+            got = await gateway.get(told["base"] + head.name)
+            assert got.status_code == 200
+            assert "immutable" in got.headers["cache-control"]
+            known[head.name] = got.content
+        assert not any(line.faults for line in verify(lambda name: [known[name]], "default", (believed,)))
+        assert (await gateway.get(told["base"] + INDEX)).headers["cache-control"] == "no-cache"
 
 
 async def found(gateway: httpx.AsyncClient, **params: str | int) -> list[str]:
@@ -151,7 +143,8 @@ async def test_a_shard_that_is_retired_meanwhile_is_looked_up_anew(tmp_path: Pat
                     publish(bundle(content=f"{number}"), store, key="new", keys=SIGNED)
             return super().get(name, start=start, length=length)
 
-    assert await found(client(tmp_path, Slow(store, -1, after=False))) == ["boot", "new", "shoe", "sofa"]
+    async with client(tmp_path, Slow(store, -1, after=False)) as gateway:
+        assert await found(gateway) == ["boot", "new", "shoe", "sofa"]
 
 
 async def test_a_row_leads_to_the_rest(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
@@ -219,14 +212,16 @@ async def test_unknown_names(gateway: httpx.AsyncClient) -> None:
 
 async def test_without_the_key_a_signed_collection_is_not_changed(tmp_path: Path, store: MemoryStore) -> None:
     before = store.get(INDEX)
-    answer = await client(tmp_path, store, Keys()).post("/v1/assets/shoe/remove")
+    async with client(tmp_path, store, Keys()) as gateway:
+        answer = await gateway.post("/v1/assets/shoe/remove")
     assert (answer.status_code, answer.json()["code"]) == (503, "SIGNING_KEY_MISSING")
     assert "STORAGE_SIGNING_KEY" in answer.json()["hints"][0]
     assert store.get(INDEX) == before
 
 
 async def test_a_collection_of_a_stranger_is_not_searched(tmp_path: Path, store: MemoryStore) -> None:
-    answer = await client(tmp_path, store, Keys(trusted=(TWO.public,))).get("/v1/collections/default/assets")
+    async with client(tmp_path, store, Keys(trusted=(TWO.public,))) as gateway:
+        answer = await gateway.get("/v1/collections/default/assets")
     assert (answer.status_code, answer.json()["code"]) == (503, "KEY_UNKNOWN")
 
 

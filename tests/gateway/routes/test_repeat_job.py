@@ -92,9 +92,9 @@ async def test_edits_are_a_job_on_the_same_capture(tmp_path: Path) -> None:
     assert again["edits"] == {"schema": 1, **edits, "target": "quest3"}
     assert recut["edits"] == {**again["edits"], "cut": "scene"}
     assert (bare["edits"], bare["cut"]) == ({"schema": 1}, "scene")
-    order = stored_order(tmp_path / "gw", again["id"])
-    assert (order.fill, order.preset, order.target, order.longest_m) == ("none", "fine", "quest3", 0.31)
-    assert order.edits.as_json == again["edits"]
+    options = stored_order(tmp_path / "gw", again["id"]).options
+    assert (options.fill, options.preset, options.target, options.longest_m) == ("none", "fine", "quest3", 0.31)
+    assert options.edits.as_json == again["edits"]
 
 
 async def test_a_first_job_may_be_edited_too(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ import struct
 import zipfile
 import zlib
 from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,29 +24,28 @@ import capture2vr
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api import edge_pb2_grpc
 from capture2vr.gateway.app import create_app
+from capture2vr.gateway.gateway import gateway_in
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.process.archives import unpack
 from capture2vr.storage.bundle import sha256_hex
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Head
 from tests.support import private_pictures
+from tests.support.in_process_gateway import answering
 from tests.support.patience import HANG_S
 
 BOUNDARY = "boundary"
 CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
 
 
+@dataclass(frozen=True, slots=True)
 class Gateway:
-    """An app on a store in memory, without workers unless given some."""
+    """A started app on a store in memory."""
 
-    def __init__(self, data_dir: Path, store: MemoryStore, **settings: Any) -> None:
-        self.store = store
-        self.data_dir = data_dir
-        self.app: FastAPI = create_app(
-            GatewaySettings(data_dir=data_dir, open=True, **{"workers": (), **settings}), store
-        )
-        transport = httpx.ASGITransport(self.app, raise_app_exceptions=False)
-        self.client = httpx.AsyncClient(transport=transport, base_url="http://gateway")
+    data_dir: Path
+    store: MemoryStore
+    app: FastAPI
+    client: httpx.AsyncClient
 
     async def send(self, *files: tuple[str, bytes], name: str = "") -> httpx.Response:
         parts = [("files", (file, content, "application/octet-stream")) for file, content in files]
@@ -66,9 +67,19 @@ class Gateway:
         assert list((self.data_dir / "uploads").rglob("*")) == []
 
 
+@asynccontextmanager
+async def started(folder: Path, store: MemoryStore | None = None, **settings: Any) -> AsyncIterator[Gateway]:
+    """A gateway without workers, unless given some."""
+    data_dir, store = folder / "data", store or MemoryStore()
+    app = create_app(GatewaySettings(data_dir=data_dir, open=True, **{"workers": (), **settings}), store)
+    async with answering(app) as client:
+        yield Gateway(data_dir, store, app, client)
+
+
 @pytest.fixture
-def gateway(tmp_path: Path) -> Gateway:
-    return Gateway(tmp_path / "data", MemoryStore())
+async def gateway(tmp_path: Path) -> AsyncIterator[Gateway]:
+    async with started(tmp_path) as gateway:
+        yield gateway
 
 
 def zipped(**entries: bytes) -> bytes:
@@ -309,24 +320,23 @@ async def test_a_boundary_in_many_pieces_is_still_one(gateway: Gateway, tmp_path
 
 
 async def test_too_many_bytes_are_refused_declared_or_not(tmp_path: Path) -> None:
-    gateway = Gateway(tmp_path / "data", MemoryStore(), max_upload_bytes=10_000)
-
     async def undeclared() -> AsyncIterator[bytes]:
         for _ in range(100):
             yield bytes(1000)
 
-    assert (await gateway.send_raw(undeclared())).status_code == 413
-    assert (await gateway.send(("a.ply", bytes(10_001)))).status_code == 413
-    gateway.assert_empty()
+    async with started(tmp_path, max_upload_bytes=10_000) as gateway:
+        assert (await gateway.send_raw(undeclared())).status_code == 413
+        assert (await gateway.send(("a.ply", bytes(10_001)))).status_code == 413
+        gateway.assert_empty()
 
 
 async def test_too_many_files_are_refused(tmp_path: Path) -> None:
-    gateway = Gateway(tmp_path / "data", MemoryStore(), max_files=3)
     files = [(f"{n}.txt", b"1") for n in range(4)]
-    assert_problem(await gateway.send(*files), 413, "UPLOAD_TOO_MANY_FILES")
-    assert (await gateway.send(*files[:3])).status_code == 201
     many = zipped(**dict(files))
-    assert_problem(await gateway.send_raw(many), 413, "UPLOAD_TOO_MANY_FILES")
+    async with started(tmp_path, max_files=3) as gateway:
+        assert_problem(await gateway.send(*files), 413, "UPLOAD_TOO_MANY_FILES")
+        assert (await gateway.send(*files[:3])).status_code == 201
+        assert_problem(await gateway.send_raw(many), 413, "UPLOAD_TOO_MANY_FILES")
 
 
 async def test_a_client_that_leaves_leaves_nothing(gateway: Gateway) -> None:
@@ -361,9 +371,9 @@ class _FullStore(MemoryStore):
 
 
 async def test_a_store_that_fails_keeps_nothing(tmp_path: Path) -> None:
-    gateway = Gateway(tmp_path / "data", _FullStore())
-    assert assert_problem(await gateway.send(("a.ply", CLOUD)), 503, "STORE_UNAVAILABLE")["retryable"]
-    gateway.assert_empty()
+    async with started(tmp_path, _FullStore()) as gateway:
+        assert assert_problem(await gateway.send(("a.ply", CLOUD)), 503, "STORE_UNAVAILABLE")["retryable"]
+        gateway.assert_empty()
 
 
 class _Worker(edge_pb2_grpc.EdgeReconstructionServicer):
@@ -402,9 +412,8 @@ async def worker(verdict: pb.Inspection) -> AsyncIterator[tuple[_Worker, str]]:
 
 @pytest.fixture
 async def attended(tmp_path: Path, worker: tuple[_Worker, str]) -> AsyncIterator[Gateway]:
-    gateway = Gateway(tmp_path / "data", MemoryStore(), workers=(worker[1],))
-    yield gateway
-    await gateway.app.state.workers.close()
+    async with started(tmp_path, workers=(worker[1],)) as gateway:
+        yield gateway
 
 
 async def test_a_workers_verdict_is_in_the_receipt(attended: Gateway, worker: tuple[_Worker, str]) -> None:
@@ -502,7 +511,9 @@ async def test_real_captures_are_taken(gateway: Gateway, data_dir: Path, name: s
     assert {file["verdict"] for file in answer.json()["files"]} == {"ok"}
 
 
-async def test_a_client_that_leaves_ends_the_inspection_of_its_capture(gateway: Gateway) -> None:
+async def test_a_client_that_leaves_ends_the_inspection_of_its_capture(
+    gateway: Gateway, monkeypatch: pytest.MonkeyPatch
+) -> None:
     started, ended = asyncio.Event(), asyncio.Event()
 
     async def inspect(*_: Any) -> None:
@@ -523,7 +534,7 @@ async def test_a_client_that_leaves_ends_the_inspection_of_its_capture(gateway: 
     async def send(_: Any) -> None:
         raise AssertionError("nobody is there to be answered")
 
-    gateway.app.state.workers.inspect = inspect
+    monkeypatch.setattr(gateway_in(gateway.app).workers, "inspect", inspect)
     headers = [(b"host", b"gateway"), (b"content-type", b"application/zip")]
     path = {"path": "/v1/captures", "raw_path": b"/v1/captures", "query_string": b"", "root_path": ""}
     ends = {"client": ("127.0.0.1", 1), "server": ("gateway", 80), "scheme": "http", "http_version": "1.1"}

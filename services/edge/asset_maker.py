@@ -1,0 +1,124 @@
+"""Make surfaces and bundles of one subject: what the preview, the refined bundle and that of a tiled scene share."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from capture2vr.edge.arrays import DistanceFn, Floats, part_of
+from capture2vr.edge.asset.assemble import ColouredLevels, assemble_bundle, colour_levels
+from capture2vr.edge.asset.manifest import AssetSubject, MeasuredSurface
+from capture2vr.edge.asset.photo_check import (
+    check_surface_with_photos,
+    drop_false_pieces,
+    fill_gaps_with_photos,
+    trim_rims_with_photos,
+)
+from capture2vr.edge.certificate import certify
+from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.job_resources import JobResources
+from capture2vr.edge.mesh.clean import clean
+from capture2vr.edge.mesh.extract import extract
+from capture2vr.edge.mesh.extract_published import extract_published
+from capture2vr.edge.mesh.fill_gaps import FilledMesh
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.spacing import auto_resolution
+from capture2vr.edge.preset import Extraction
+from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.storage.bundle import Bundle, State
+
+_EXTRACT_SHARE = 0.4  # of the EXTRACTING stage's time is extraction, the rest is cleaning
+
+
+@dataclass(frozen=True, slots=True)
+class AssetMaker:
+    """Makes the surfaces and bundles of a job's subject, on its clock and progress bar."""
+
+    subject: AssetSubject
+    clock: Clock
+    bar: Bar
+    resources: JobResources
+
+    def surface(
+        self, distance: DistanceFn, near: Floats, finest: int, extraction: Extraction = "dual"
+    ) -> Generator[Progress, None, MeasuredSurface]:
+        """Extract the mesh of a field whose surface lies near the points (N,3), clean it and measure its quality.
+
+        finest  most cells along the longest side, where the preset leaves the resolution to the points
+        A mesh of the published extraction stays as it comes. Raises EdgeError EXTRACTION_EMPTY.
+        """
+        subject = self.subject
+        resolution = subject.preset.resolution or auto_resolution(
+            near, high=finest, cells_per_spacing=subject.preset.cells_per_spacing
+        )
+        yield self.bar.begin("EXTRACTING", f"{resolution} cells along the longest side")
+        with self.clock("EXTRACTING"):
+            if extraction == "published":
+                return self._published(distance, near, resolution)
+            return self._cleaned(distance, near, resolution)
+
+    def _published(self, distance: DistanceFn, near: Floats, resolution: int) -> MeasuredSurface:
+        mesh_unit = extract_published(distance, near, resolution=resolution, tick=self.bar.tick("EXTRACTING"))
+        _refuse_empty(mesh_unit, near, resolution)
+        certificate = certify(distance, mesh_unit, self.subject.evidence)
+        return MeasuredSurface(FilledMesh.unfilled(mesh_unit), resolution, certificate)
+
+    def _cleaned(self, distance: DistanceFn, near: Floats, resolution: int) -> MeasuredSurface:
+        subject, tick = self.subject, self.bar.tick("EXTRACTING")
+        raw = extract(distance, near, resolution=resolution, tick=part_of(tick, 0, _EXTRACT_SHARE))
+        specks: list[float] = []
+        mesh_unit = clean(raw, near, specks=specks, tick=part_of(tick, _EXTRACT_SHARE, 1))
+        del raw
+        _refuse_empty(mesh_unit, near, resolution)
+        mesh_unit, pieces = drop_false_pieces(mesh_unit, subject.colours, subject.unit, specks)
+        mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
+        filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
+        certificate = certify(distance, filled.mesh, subject.evidence, pieces)
+        return MeasuredSurface(filled, resolution, certificate)
+
+    def compare_with_photos(self, surface: MeasuredSurface) -> MeasuredSurface:
+        """Add the comparison with held-out photos, which takes a second: the first bundle is published without it."""
+        with self.clock("EXTRACTING"):
+            check = check_surface_with_photos(surface.mesh_unit, self.subject.colours, self.subject.unit)
+            return replace(surface, check=check, certificate=replace(surface.certificate, photos=check.figures))
+
+    def levels(
+        self, surface: MeasuredSurface, to_asset: Floats | None = None
+    ) -> Generator[Progress, None, ColouredLevels]:
+        """Colour a surface's mesh and make its levels of detail, as `colour_levels`."""
+        return colour_levels(surface, self.subject, self.clock, self.bar, to_asset)
+
+    def bundle(
+        self,
+        surface: MeasuredSurface,
+        levels: ColouredLevels,
+        state: State,
+        quality: Mapping[str, Any],
+        *,
+        last: bool,
+        warnings: tuple[str, ...] = (),
+    ) -> Iterator[Progress | Bundle]:
+        """Yield the bundle of a surface whose levels of detail are made, as `assemble_bundle`."""
+        return assemble_bundle(
+            surface,
+            levels,
+            subject=self.subject,
+            state=state,
+            quality=quality,
+            warnings=warnings,
+            clock=self.clock,
+            bar=self.bar,
+            last=last,
+            encode=self.resources.encode,
+            device=self.resources.device,
+        )
+
+
+def _refuse_empty(mesh: Mesh, near: Floats, resolution: int) -> None:
+    if len(mesh.faces) == 0:
+        raise EdgeError(
+            "EXTRACTION_EMPTY",
+            f"no surface was found among {len(near):,} points at {resolution} cells",
+            hints=("capture the object from closer and from more sides",),
+        )

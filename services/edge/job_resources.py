@@ -1,0 +1,29 @@
+"""What a process lends to one job: a device, a checkpoint file, an encoder, an engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from capture2vr.edge.engine.nouns import OpenEngine
+from capture2vr.edge.export.ktx2 import EncodeKtx2
+
+
+@dataclass(frozen=True, slots=True)
+class JobResources:
+    """What the process that runs a job lends to it. None of it changes what is made, but for the device's rounding.
+
+    device      device that compares photos and trains the field: "cpu", "cuda:0"
+    checkpoint  file that the training writes and resumes from; the caller removes it
+    encode      encoder of KTX2 textures, for targets that want them
+    engine      works at the tiles of a large scene; None: this process
+    """
+
+    device: str = "cpu"
+    checkpoint: Path | None = None
+    encode: EncodeKtx2 | None = None
+    engine: OpenEngine | None = None
+
+
+CPU_ALONE = JobResources()
+"""Of a process that has a CPU and nothing else."""
