@@ -7,9 +7,9 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from services.gateway.app import create_app
-from services.gateway.settings import GatewaySettings
-from services.storage.memory import MemoryStore
+from capture2vr.gateway.app import create_app
+from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.storage.memory import MemoryStore
 
 GROUPS = {
     "captures": "Upload captures, in one request or in parts; list, download and delete them.",
