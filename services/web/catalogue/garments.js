@@ -1,7 +1,7 @@
 // Which things of a collection are garments, of which season, and from where they hang: by the words of their labels and names, in English and German.
-import { simplify } from './search-words.js';
+import { simplify } from '../shared/search-words.js';
 
-/** @import { CollectionRow } from './types.d.ts' */
+/** @import { CollectionRow } from '../shared/types.d.ts' */
 /** @typedef {'spring' | 'summer' | 'autumn' | 'winter'} Season */
 /** @typedef {'shoulders' | 'waist'} Hanging from where a garment hangs */
 /** @typedef {Season | 'all' | `label:${string}`} Choice garments of a season, all garments, or all things that bear a label */

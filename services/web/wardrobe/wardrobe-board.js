@@ -1,14 +1,13 @@
 // The board of the wardrobe in the headset: what the dummy wears, seasons and labels, the garment before and the next one.
-import { INK, paintButton, paintGround } from './panel-paint.js';
-import { PressPanel, reportPlaces, standBefore } from './press-panel.js';
 import { countText, seasonName } from './wardrobe-panel.js';
-import { SEASONS } from '../shared/garments.js';
+import { SEASONS } from '../catalogue/garments.js';
+import { INK, paintButton, paintGround } from '../headset/panel-paint.js';
+import { PressPanel, reportPlaces, standBefore } from '../headset/press-panel.js';
 import { t } from '../shared/texts.js';
 
 /** @import { ArrayCamera, Scene } from '../vendor/three-0.187.0.module.js' */
-/** @import { Choice } from '../shared/garments.js' */
-/** @import { WardrobeState } from './wardrobe.js' */
-/** @import { WardrobeActions } from './wardrobe-panel.js' */
+/** @import { Choice } from '../catalogue/garments.js' */
+/** @import { WardrobeActions, WardrobeState } from './wardrobe-panel.js' */
 /** @typedef {Parameters<typeof paintButton>[2]} Button */
 
 // Letters of 28 pixels are 25 mm high at 1 m: 1.4 degrees, as on the wall of things.

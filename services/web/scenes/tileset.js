@@ -3,9 +3,9 @@
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { TilesRenderer } from '../vendor/tiles-renderer-0.5.3.index.js';
 import { MOST_TRIANGLES } from './layout-and-lod.js';
+import { loadFile } from '../catalogue/verified-cache.js';
 import { createGlbLoader } from '../graphics/glb-loader.js';
 import { dispose } from '../graphics/scene.js';
-import { loadFile } from '../shared/verified-cache.js';
 
 /** @import { Tile } from '../vendor/tiles-renderer-0.5.3.index.js' */
 /** @import { AssetEntry, AssetFile } from '../shared/types.d.ts' */

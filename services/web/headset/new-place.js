@@ -2,7 +2,7 @@
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { headingOf, middleOf } from './xr-session.js';
 
-/** @import { LoadedItem } from './scene-item.js' */
+/** @import { LoadedItem } from '../scenes/scene-item.js' */
 
 const GAP_M = 0.1; // between it and its neighbour: a hand fits in between
 const AHEAD_M = 0.7; // between the wearer and the thing's near side: an arm's length

@@ -1,9 +1,9 @@
 // Which garments the wardrobe shows, and how fast, as the page's address says: ?season=summer, ?season=all or ?label=evening, and ?every=30.
 import { seasonName } from './wardrobe-panel.js';
-import { SEASONS, seasonOf } from '../shared/garments.js';
+import { SEASONS, seasonOf } from '../catalogue/garments.js';
 import { t } from '../shared/texts.js';
 
-/** @import { Choice } from '../shared/garments.js' */
+/** @import { Choice } from '../catalogue/garments.js' */
 
 const [LEAST_S, MOST_S] = [2, 3600]; // from one garment to the next
 

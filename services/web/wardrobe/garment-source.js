@@ -1,7 +1,7 @@
 // Where the wardrobe's garments come from: the signed collection, and their files, loaded ahead.
-import { nextEntry } from './start.js';
-import { loadRows, withNewest } from '../shared/signed-catalogue.js';
-import { loadFile } from '../shared/verified-cache.js';
+import { loadRows, withNewest } from '../catalogue/signed-catalogue.js';
+import { loadFile } from '../catalogue/verified-cache.js';
+import { nextEntry } from '../scenes/page-address.js';
 
 /** @import { CollectionRow } from '../shared/types.d.ts' */
 

@@ -1,11 +1,22 @@
 // The controls of the wardrobe on the page: which garments, the one before and the next one by buttons and arrow keys, and whether they change by themselves.
+import { SEASONS } from '../catalogue/garments.js';
 import { create, element } from '../shared/dom.js';
-import { SEASONS } from '../shared/garments.js';
 import { t } from '../shared/texts.js';
 import { ofShownTenant } from '../shared/whose.js';
 
-/** @import { Choice, Season } from '../shared/garments.js' */
-/** @import { WardrobeState } from './wardrobe.js' */
+/** @import { Choice, Season } from '../catalogue/garments.js' */
+
+/**
+ * What the page and the board in the headset show.
+ * @typedef {object} WardrobeState
+ * @property {Choice} choice
+ * @property {string[]} labels of the collection that name no season
+ * @property {number} place from 0, of the garment that is shown or on its way
+ * @property {number} count
+ * @property {string} said name of the garment, or why there is none
+ * @property {boolean} rotates whether the garments change by themselves
+ * @property {boolean} turns whether it turns in a headset
+ */
 
 /**
  * What a person does with the wardrobe.

@@ -1,9 +1,9 @@
 // Walking in the headset: by thumbstick, by turns of 30 degrees, and by going to a place on a surface that the wearer points at (teleport).
 // It is the scene that moves: the wearer stays in the middle of their own room.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { aimRay } from './hit-test.js';
 import { StickPush } from './stick-push.js';
 import { headingOf, middleOf } from './xr-session.js';
+import { aimRay } from '../scenes/hit-test.js';
 
 const WALK_M_PER_S = 1.4; // a walk; faster makes people sick
 const TURN = Math.PI / 6; // at once: turning smoothly makes people sick too

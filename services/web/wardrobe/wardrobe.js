@@ -2,22 +2,23 @@
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { dress } from './dressing.js';
 import { loadAllRows, preload } from './garment-source.js';
-import { GONE } from './item-updates.js';
-import { showError, showNotice, showNothing } from './messages.js';
-import { SceneItem, isLoaded, randomId } from './scene-item.js';
-import { StickPush } from './stick-push.js';
 import { WardrobeBoard } from './wardrobe-board.js';
 import { addressOf, choiceIn, emptyText, secondsIn } from './wardrobe-choice.js';
 import { WardrobePanel } from './wardrobe-panel.js';
+import { chooseGarments, hangingOf, otherLabels } from '../catalogue/garments.js';
 import { BARE, DressDummy } from '../graphics/dress-dummy.js';
 import { FILLED } from '../graphics/scene.js';
+import { StickPush } from '../headset/stick-push.js';
+import { GONE } from '../scenes/item-updates.js';
+import { showError, showNotice, showNothing } from '../scenes/messages.js';
+import { SceneItem, isLoaded, randomId } from '../scenes/scene-item.js';
 import { child, element } from '../shared/dom.js';
-import { chooseGarments, hangingOf, otherLabels } from '../shared/garments.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
-/** @import { LoadedItem } from './scene-item.js' */
-/** @import { Choice } from '../shared/garments.js' */
+/** @import { LoadedItem } from '../scenes/scene-item.js' */
+/** @import { Choice } from '../catalogue/garments.js' */
+/** @import { WardrobeState } from './wardrobe-panel.js' */
 /** @import { CollectionRow } from '../shared/types.d.ts' */
 
 /**
@@ -30,18 +31,6 @@ import { t } from '../shared/texts.js';
  * @property {() => void} frameAll
  * @property {() => boolean} isVisible whether anybody looks at the page
  * @property {() => void} onResetView places the scene before a wearer again
- */
-
-/**
- * What the page and the board in the headset show.
- * @typedef {object} WardrobeState
- * @property {Choice} choice
- * @property {string[]} labels of the collection that name no season
- * @property {number} place from 0, of the garment that is shown or on its way
- * @property {number} count
- * @property {string} said name of the garment, or why there is none
- * @property {boolean} rotates whether the garments change by themselves
- * @property {boolean} turns whether it turns in a headset
  */
 
 const EVERY_S = 20; // from one garment to the next: a whole turn, and a moment

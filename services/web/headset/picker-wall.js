@@ -1,7 +1,7 @@
 // The wall in the headset from which things are added to the scene: twelve pictures at a time, labels to choose from, and a few buttons.
-import { ThingSearch } from './find-things.js';
 import { INK, paintButton, paintGround, paintTile } from './panel-paint.js';
 import { PressPanel, reportPlaces, standBefore } from './press-panel.js';
+import { ThingSearch } from '../scenes/find-things.js';
 import { fetchBytes } from '../shared/network.js';
 import { sentences } from '../shared/problems.js';
 import { t } from '../shared/texts.js';

@@ -1,12 +1,12 @@
 // The catalogue of the assets, checked against the signed collection: docs/catalogues.md has the chain from one signature down to the
 // last file. A server that signs nothing is believed.
-import { getCachedJson } from './api.js';
-import { Problem } from './problems.js';
-import { t } from './texts.js';
 import { loadFile } from './verified-cache.js';
-import { ofShownTenant, ownNameOfShown } from './whose.js';
+import { getCachedJson } from '../shared/api.js';
+import { Problem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
+import { ofShownTenant, ownNameOfShown } from '../shared/whose.js';
 
-/** @import { AssetEntry, AssetProof, Collection, CollectionIndex, CollectionRow, Manifest, PublicKey, Shard, ShardDocument, SignedEnvelope } from './types.d.ts' */
+/** @import { AssetEntry, AssetProof, Collection, CollectionIndex, CollectionRow, Manifest, PublicKey, Shard, ShardDocument, SignedEnvelope } from '../shared/types.d.ts' */
 
 const KEYS = 'capture2vr:keys';
 const SEEN = 'capture2vr:seen:';

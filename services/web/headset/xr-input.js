@@ -1,11 +1,11 @@
 // Controllers and hands in the headset: how they look, what they grab, and what their buttons do.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { aimRay, distanceToFirstBox, findTouchedItem, pickItem } from './hit-test.js';
+import { aimRay, distanceToFirstBox, findTouchedItem, pickItem } from '../scenes/hit-test.js';
 
 /** @import { Grabber } from './grab.js' */
 /** @import { PressPanel } from './press-panel.js' */
 /** @import { Walker } from './walk.js' */
-/** @import { LoadedItem } from './scene-item.js' */
+/** @import { LoadedItem } from '../scenes/scene-item.js' */
 /** @typedef {'select' | 'squeeze'} Press the trigger or a pinch, and the grip */
 
 /**

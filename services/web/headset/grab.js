@@ -1,8 +1,8 @@
 // Grabbing: one hand carries and turns an item, two hands also scale it. A controller's pointer is a hand too.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { SCALES } from './saved-placement.js';
+import { SCALES } from '../scenes/saved-placement.js';
 
-/** @import { SceneItem } from './scene-item.js' */
+/** @import { SceneItem } from '../scenes/scene-item.js' */
 
 /**
  * How an item is held. `from`: the hands' matrices, and `start` the item's, when the hands took hold.

@@ -1,7 +1,7 @@
 // The session in a headset: two buttons that start it, for VR and for passthrough (AR), and where the scene stands in the room.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { createTextPanel } from './text-panel.js';
 import { dispose } from '../graphics/scene.js';
+import { createTextPanel } from '../graphics/text-panel.js';
 import { element } from '../shared/dom.js';
 import { t } from '../shared/texts.js';
 

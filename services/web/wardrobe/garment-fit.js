@@ -2,7 +2,7 @@
 // size; the dummy's girth, depth and height are set to it, as a tailor does. Numbers only, no graphics.
 import { BUST_M, HIP_M, SHOULDERS, TORSO, WAIST_M, torsoAt } from '../graphics/dress-dummy.js';
 
-/** @import { Hanging } from '../shared/garments.js' */
+/** @import { Hanging } from '../catalogue/garments.js' */
 /** @import { SizeM } from '../shared/types.d.ts' */
 /** @import { DummyShape } from '../graphics/dress-dummy.js' */
 /** @typedef {'x' | 'z'} Axis */

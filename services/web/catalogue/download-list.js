@@ -1,14 +1,14 @@
 // The formats in which a thing can be downloaded for other programs, as a list of buttons. A file is made on the server when somebody first wants it.
-import { getJson } from './api.js';
-import { attempt } from './attempt.js';
-import { create } from './dom.js';
-import { formatBytes } from './format.js';
-import { fetchBytes } from './network.js';
-import { parseAnswer } from './problems.js';
-import { t } from './texts.js';
-import { DOWNLOAD_ANSWER_MS } from './time-limits.js';
+import { getJson } from '../shared/api.js';
+import { attempt } from '../shared/attempt.js';
+import { create } from '../shared/dom.js';
+import { formatBytes } from '../shared/format.js';
+import { fetchBytes } from '../shared/network.js';
+import { parseAnswer } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
+import { DOWNLOAD_ANSWER_MS } from '../shared/time-limits.js';
 
-/** @import { Download, DownloadList } from './types.d.ts' */
+/** @import { Download, DownloadList } from '../shared/types.d.ts' */
 
 /**
  * @typedef {object} Places where a list says what it does

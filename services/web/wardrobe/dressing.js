@@ -3,8 +3,8 @@ import { measureGarment, canHang, fitGarment } from './garment-fit.js';
 import { trianglesOf } from '../graphics/contact-shadow.js';
 
 /** @import { DressDummy } from '../graphics/dress-dummy.js' */
-/** @import { Hanging } from '../shared/garments.js' */
-/** @import { LoadedItem } from './scene-item.js' */
+/** @import { Hanging } from '../catalogue/garments.js' */
+/** @import { LoadedItem } from '../scenes/scene-item.js' */
 
 /**
  * Stands an item in the middle of its scene: on the dummy, which is set to it, or on the plinth. Its size stays true.

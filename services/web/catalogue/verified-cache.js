@@ -1,14 +1,14 @@
 // Files of assets, cached on the device under their hash: a file that was loaded once needs no network again, and one that has rotted or was
 // tampered with is never shown.
-import { checksum, deleteCache, openCache, readEntry, writeEntry } from './cache-storage.js';
-import { fetchBytes } from './network.js';
-import { Problem } from './problems.js';
-import { t } from './texts.js';
-import { ownName } from './whose.js';
+import { checksum, deleteCache, openCache, readEntry, writeEntry } from '../shared/cache-storage.js';
+import { fetchBytes } from '../shared/network.js';
+import { Problem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
+import { ownName } from '../shared/whose.js';
 
 const NAME = 'assets-1';
 
-/** @import { AssetFile } from './types.d.ts' */
+/** @import { AssetFile } from '../shared/types.d.ts' */
 /** @typedef {Pick<AssetFile, 'url' | 'sha256' | 'file'>} CatalogueFile a file as a catalogue names it; `file` is its name for people */
 
 /**
