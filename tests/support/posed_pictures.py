@@ -12,7 +12,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bools, Bytes, Floats
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import Scene, pinhole
+from capture2vr.edge.render.rays import RaycastingScene, pinhole
 from tests.support.scenes import look_at
 
 SIDE = 200  # pixels of a photo's width and height
@@ -55,7 +55,7 @@ def photographs(
     gain   of the exposure, per channel
     depth  whether the photos have depth images
     """
-    scene, to_units = Scene(mesh), np.diag([scale, scale, scale, 1.0])
+    scene, to_units = RaycastingScene(mesh), np.diag([scale, scale, scale, 1.0])
     photos = []
     for number, eye in enumerate(eyes):
         pose = _pose(eye)
@@ -68,17 +68,17 @@ def photographs(
 
 def silhouette(mesh: Mesh, eye: Sequence[float]) -> Bools:
     """(SIDE,SIDE) which pixels of a photo from `eye` show the mesh."""
-    shown: Bools = _cast(Scene(mesh), _pose(eye), SIDE)[1] < WALL_DEPTH
+    shown: Bools = _cast(RaycastingScene(mesh), _pose(eye), SIDE)[1] < WALL_DEPTH
     return shown
 
 
-def _photo(scene: Scene, pose: Floats, gain: Floats) -> Bytes:
+def _photo(scene: RaycastingScene, pose: Floats, gain: Floats) -> Bytes:
     fine, _ = _cast(scene, pose, _SAMPLES * SIDE)
     shown = cv2.resize(fine, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
     return np.clip(np.rint(shown * gain), 0, 255).astype(np.uint8)
 
 
-def _depth(scene: Scene, pose: Floats, scale: float) -> Floats:
+def _depth(scene: RaycastingScene, pose: Floats, scale: float) -> Floats:
     return (scale * _cast(scene, pose, SIDE)[1]).astype(np.float32)
 
 
@@ -87,7 +87,7 @@ def _pose(eye: Sequence[float]) -> Floats:
     return look_at(eye, (0, 0, 0), (0, 0, 1) if upright else (0, 1, 0))
 
 
-def _cast(scene: Scene, pose: Floats, side: int) -> tuple[Floats, Floats]:
+def _cast(scene: RaycastingScene, pose: Floats, side: int) -> tuple[Floats, Floats]:
     """Colours (side,side,3) float and depth (side,side) of one ray through the middle of each pixel."""
     at = (np.arange(side) + 0.5) / side - 0.5
     rays = pinhole(at, at, *pose[:3, :3].T)

@@ -22,7 +22,7 @@ from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.capture.nouns import Frame, Intrinsics
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
-from capture2vr.edge.render.rays import Scene, pinhole
+from capture2vr.edge.render.rays import RaycastingScene, pinhole
 from tests.support.scenes import look_at
 
 FOCAL_35MM = 28  # of the main camera of many phones; written into the EXIF as such
@@ -219,7 +219,7 @@ class _Stage:
 
     def __init__(self, sheets: Sequence[Sheet], rng: np.random.Generator, contrast: float = 1.0) -> None:
         mesh = _mesh(sheets)
-        self.scene, self.normals = Scene(mesh), face_normals(mesh.vertices, mesh.faces)
+        self.scene, self.normals = RaycastingScene(mesh), face_normals(mesh.vertices, mesh.faces)
         lattices = rng.random((2, 32, 32, 32), dtype=np.float32)
         lit = [_lit(sheet, self.scene, lattices, rng, contrast) for sheet in sheets]
         width = max(texture.shape[1] for texture in lit)
@@ -300,7 +300,7 @@ def _texel_grid(sheet: Sheet, values: Floats) -> Floats:
     return np.asarray(cv2.remap(values.astype(np.float32), *np.meshgrid(column, row), cv2.INTER_LINEAR))
 
 
-def _lit(sheet: Sheet, scene: Scene, lattices: Floats, rng: np.random.Generator, contrast: float) -> Floats:
+def _lit(sheet: Sheet, scene: RaycastingScene, lattices: Floats, rng: np.random.Generator, contrast: float) -> Floats:
     """(h,w,3) float32: the colours of a sheet's texels in Lambert's light and soft shadow, alike on both sides."""
     xyz = _texel_grid(sheet, sheet.points)
     along, across = np.gradient(sheet.points, axis=(0, 1))

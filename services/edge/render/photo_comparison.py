@@ -30,7 +30,7 @@ from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import Hits, Scene
+from capture2vr.edge.render.rays import Hits, RaycastingScene
 from capture2vr.edge.render.sample_image import bilinear, pixels_at, shrink_to
 from capture2vr.edge.render.silhouette import beyond, cast_pixels, disc, outline_thing, see_mesh
 
@@ -104,7 +104,7 @@ def check_surface(
     pictures = [*photos]
     if not pictures:
         return []
-    scene, normals = Scene(mesh), face_normals(mesh.vertices, mesh.faces)
+    scene, normals = RaycastingScene(mesh), face_normals(mesh.vertices, mesh.faces)
     depths = [picture.depth() for picture in seen_by]
     checks = in_threads(lambda photo: _check(photo, mesh, scene, normals, seen_by, depths, mask_of(photo)), pictures)
     return [check for check in checks if check is not None]
@@ -114,7 +114,7 @@ def check_likeness(
     subject: Mesh | TexturedMesh, photos: Sequence[PosedPicture], things: Sequence[Bools]
 ) -> list[LikenessCheck]:
     """Compare renderings of a coloured mesh with photos in its frame, each where its mask (h,w) shows the thing."""
-    scene = Scene(subject.mesh if isinstance(subject, TexturedMesh) else subject)
+    scene = RaycastingScene(subject.mesh if isinstance(subject, TexturedMesh) else subject)
     colours = _colours_of(subject)
     pairs = [*zip(photos, things, strict=True)]
     return in_threads(lambda pair: _likeness(*pair, scene, colours), pairs)
@@ -168,7 +168,7 @@ def marked_jpeg(check: SurfaceCheck, likeness: LikenessCheck | None = None, qual
 def _check(
     picture: PosedPicture,
     mesh: Mesh,
-    scene: Scene,
+    scene: RaycastingScene,
     normals: Floats,
     seen_by: Sequence[PosedPicture],
     depths: Sequence[Floats],
@@ -224,7 +224,9 @@ def _shows_back(
     return ~this & other
 
 
-def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callable[[Hits], Floats]) -> LikenessCheck:
+def _likeness(
+    picture: PosedPicture, thing: Bools, scene: RaycastingScene, colours: Callable[[Hits], Floats]
+) -> LikenessCheck:
     import cv2
 
     photo = shrink_to(picture.load_rgb(), LIKENESS_PX)
