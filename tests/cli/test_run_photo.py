@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.test_run import capture2vr
-from tests.support.walkaround import render_walkaround
+from tests.support.photos.walkaround import render_walkaround
 
 pytestmark = pytest.mark.slow
 

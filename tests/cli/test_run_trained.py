@@ -47,7 +47,7 @@ from capture2vr.cli.local.run import RunOptions, run_preset
 from capture2vr.edge.field import checkpoint
 from capture2vr.edge.paper_field.network_config import NetworkConfig
 from capture2vr.edge.preset import Preset
-from tests.support.small_pictures import draw_small
+from tests.support.photos.small_pictures import draw_small
 checkpoint.SECONDS = 0.2
 draw_small(pytest.MonkeyPatch())
 fit = NetworkConfig(warm_start=5, steps=int(sys.argv[3]), warm_up=1, batch=100, pool=2_000)

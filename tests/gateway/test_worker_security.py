@@ -15,7 +15,7 @@ from capture2vr.gateway.workers.worker_client import WorkerPool
 from capture2vr.process.grpc_security import ClientCredentials
 from capture2vr.process.strict_settings import SettingsError
 from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
-from tests.support.tls_certificates import TOKEN, Authority
+from tests.support.network.tls_certificates import TOKEN, Authority
 
 
 @pytest.fixture

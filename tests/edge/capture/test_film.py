@@ -29,7 +29,7 @@ from capture2vr.edge.films.keyframes import MAX_KEY_FRAMES, MIN_PATH, PathTracke
 from capture2vr.edge.films.video import VideoFrames
 from capture2vr.edge.read_capture import read_capture
 from tests.support.captures import turn_film
-from tests.support.walkaround import render_walkaround
+from tests.support.photos.walkaround import render_walkaround
 
 WIDTH, HEIGHT, RATE = 320, 240, 30
 STEP = 6  # pixels from picture to picture: 0.019 of the width, 60 pictures are a way of 1.1

@@ -12,7 +12,7 @@ from capture2vr.edge.cameras.match_pairs import exhaustive
 from capture2vr.edge.cameras.sfm_process import Lens, SfmProblem, solve
 from capture2vr.edge.read_capture import read_capture
 from tests.edge.photos.test_structure_from_motion import centre_errors
-from tests.support.walkaround import Walkaround, render_walkaround
+from tests.support.photos.walkaround import Walkaround, render_walkaround
 
 pytestmark = pytest.mark.slow
 

@@ -33,7 +33,7 @@ from tests.edge.photos.test_structure_from_motion import (
     scene,
     unposed,
 )
-from tests.support.walkaround import render_walkaround
+from tests.support.photos.walkaround import render_walkaround
 
 needs_network = pytest.mark.usefixtures("network")
 NOT_INSTALLED = "capture2vr.edge.photos.{}.is_installed"

@@ -28,7 +28,7 @@ from capture2vr.edge.photos.turntable import axis_up, mask_background
 from capture2vr.edge.points.isolate import isolate_object
 from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.read_capture import read_capture
-from tests.support.turntable import PLATE_RADIUS, Turntable, render_turntable
+from tests.support.photos.turntable import PLATE_RADIUS, Turntable, render_turntable
 
 SIZE_M = 0.4  # of the thing
 

@@ -16,7 +16,7 @@ from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.render.contact_sheet import render_sheet
 from capture2vr.edge.render.rays import RaycastingScene, open_sky, pinhole
 from tests.support import surfaces
-from tests.support.painted import painted, quarters
+from tests.support.photos.painted import painted, quarters
 
 pytestmark = pytest.mark.slow
 

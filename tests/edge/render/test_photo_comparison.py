@@ -26,7 +26,7 @@ from capture2vr.edge.render.photo_comparison import (
 )
 from capture2vr.edge.render.posed_picture import PosedPicture
 from tests.support import surfaces
-from tests.support.posed_pictures import SIDE, photograph, photographs, print_on, printed, silhouette
+from tests.support.photos.posed_pictures import SIDE, photograph, photographs, print_on, printed, silhouette
 
 
 def sheet(cells: int) -> Mesh:

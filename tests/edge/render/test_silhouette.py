@@ -9,7 +9,7 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.render.silhouette import cast_pixels, outside_outlines
 from tests.support import surfaces
-from tests.support.posed_pictures import photographs, printed
+from tests.support.photos.posed_pictures import photographs, printed
 
 RIM = 0.03  # width: four pixels of the photos
 EYES = [(0.5, 0.2, 1.4), (-0.3, 0.4, 1.4), (0.1, -0.5, 1.3), (-0.4, -0.3, 1.5), (0.0, 0.0, 1.6)]

@@ -21,8 +21,8 @@ from capture2vr.edge.single_photo.plain_background import segment_by_colour
 from capture2vr.edge.single_photo.proposal import propose
 from capture2vr.edge.single_photo.saliency import saliency
 from capture2vr.order.photo_box import PhotoBox
-from tests.support.single_photos import photo
-from tests.support.walkaround import render_walkaround
+from tests.support.photos.single_photos import photo
+from tests.support.photos.walkaround import render_walkaround
 
 W, H = 400, 300
 VIEWS = 4
