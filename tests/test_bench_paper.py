@@ -301,5 +301,5 @@ def test_the_estimate_falls_only_beyond_the_budget() -> None:
 
 @pytest.mark.parametrize("name", [*benches.BENCHES, *benches.ON_DEMAND])
 def test_every_named_bench_has_a_module(name: str) -> None:
-    module, _ = benches._PAPER.get(name, (name.replace("-", "_"), False))
+    module, _ = benches._MODULES.get(name, (name.replace("-", "_"), False))
     assert importlib.util.find_spec(f"tests.bench.{module}") is not None

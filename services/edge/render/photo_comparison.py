@@ -124,24 +124,28 @@ def mean_figures(checks: Sequence[SurfaceCheck], likeness: Sequence[LikenessChec
     """Average the figures over photos; None without any."""
     if not checks:
         return None
-    each = [check.figures for check in checks]
     alike = [pair for pair in likeness if pair.ssim > 0]  # 0: the rendering and the photo share no pixels
-    depths = [figures.depth for figures in each if figures.depth is not None]
     return PhotoFigures(
         photos=len(checks),
-        cover=_mean([figures.cover for figures in each]),
-        lace=_mean([figures.lace for figures in each]),
-        inside_out=_mean([figures.inside_out for figures in each]),
-        leak=_mean([figures.leak for figures in each]),
-        depth=_mean(depths) if depths else None,
-        psnr=_mean([pair.psnr for pair in alike]) if alike else None,
-        ssim=_mean([pair.ssim for pair in alike]) if alike else None,
-        sharp=_mean([pair.sharp for pair in alike]) if alike else None,
+        cover=_mean([check.figures.cover for check in checks]),
+        lace=_mean([check.figures.lace for check in checks]),
+        inside_out=_mean([check.figures.inside_out for check in checks]),
+        leak=_mean([check.figures.leak for check in checks]),
+        depth=_mean_of_known([check.figures.depth for check in checks]),
+        psnr=_mean_of_known([pair.psnr for pair in alike]),
+        ssim=_mean_of_known([pair.ssim for pair in alike]),
+        sharp=_mean_of_known([pair.sharp for pair in alike]),
     )
 
 
 def _mean(values: Sequence[float]) -> float:
     return round(float(np.mean(values)), 5)
+
+
+def _mean_of_known(values: Sequence[float | None]) -> float | None:
+    """The mean of those that are known; None without any."""
+    known = [value for value in values if value is not None]
+    return _mean(known) if known else None
 
 
 def marked_jpeg(check: SurfaceCheck, likeness: LikenessCheck | None = None, quality: int = 85) -> bytes:

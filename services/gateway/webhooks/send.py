@@ -101,12 +101,7 @@ class Sender:
         """Return the address to connect to. Raises UrlRefused, OSError where the host has none."""
         if url.scheme != "https" and not (url.scheme == "http" and self._allow_private):
             raise UrlRefused("the URL must begin with https://")
-        try:
-            named = bool(url.host) and not url.userinfo
-        except UnicodeError:  # of a label that begins as encoded letters, and is none
-            raise UrlRefused("the URL's host is not a host's name") from None
-        if not named:
-            raise UrlRefused("the URL must name a host, and no user")
+        _check_host(url)
         port = {"http": 80, "https": 443}[url.scheme] if url.port is None else url.port
         if not 0 < port <= _LAST_PORT:  # the look-up of an address takes any number, the connection does not
             raise UrlRefused(f"the URL's port must be 1 to {_LAST_PORT}")
@@ -120,6 +115,16 @@ class Sender:
         if not self._allow_private and not all(map(is_public, addresses)):
             raise UrlRefused(f"{url.host} is not an address of the internet")
         return addresses[0]
+
+
+def _check_host(url: httpx.URL) -> None:
+    """Raises UrlRefused for a URL without a host, or with a user."""
+    try:
+        named = bool(url.host) and not url.userinfo
+    except UnicodeError:  # of a label that begins as encoded letters, and is none
+        raise UrlRefused("the URL's host is not a host's name") from None
+    if not named:
+        raise UrlRefused("the URL must name a host, and no user")
 
 
 def is_public(address: str) -> bool:

@@ -8,7 +8,7 @@ run completes the work.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -275,13 +275,18 @@ def _existing_version(
     if not job:
         return next((each for each in versions[-1:] if each["manifest"] == manifest), None)
     job_versions = [each for each in versions if each["job"] == job]
-    newest = max((int(each["fence"]) for each in job_versions), default=fence)
-    if newest > fence:
-        raise StaleFence(f"job {job} was leased again: it has published with fence {newest}, this is fence {fence}")
+    _check_fence(job_versions, job, fence)
     # A first preview that arrives after the job's last version must not replace it: return the last version instead.
     last = [] if _ends_job(bundle) else [each for each in job_versions if _is_last(each)]
     same = [each for each in job_versions if (each["state"], _is_last(each)) == (bundle.state, _ends_job(bundle))]
     return next(iter([*last, *same]), None)
+
+
+def _check_fence(job_versions: Sequence[Mapping[str, Any]], job: str, fence: int) -> None:
+    """Raises StaleFence where a job has published a version with a higher fence."""
+    newest = max((int(each["fence"]) for each in job_versions), default=fence)
+    if newest > fence:
+        raise StaleFence(f"job {job} was leased again: it has published with fence {newest}, this is fence {fence}")
 
 
 def _ends_job(bundle: Bundle) -> bool:
