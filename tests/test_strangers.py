@@ -31,8 +31,8 @@ from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.memory import MemoryStore
 from tests.conftest import missing
-from tests.edge.photos.test_learned_matches import problem_of_matches
-from tests.edge.photos.test_structure_from_motion import scene
+from tests.edge.cameras.test_learned_matches import problem_of_matches
+from tests.edge.cameras.test_structure_from_motion import scene
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
 from tests.support import captures, surfaces
 from tests.support.downloadable import downloadable

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.cli.test_run import capture2vr
+from tests.cli.local.test_run import capture2vr
 from tests.support.photos.walkaround import render_walkaround
 
 pytestmark = pytest.mark.slow

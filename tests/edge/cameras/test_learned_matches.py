@@ -22,7 +22,7 @@ from capture2vr.edge.cameras.structure_from_motion import align
 from capture2vr.edge.errors import Cancelled, CaptureError
 from capture2vr.edge.read_capture import read_capture
 from tests.conftest import missing
-from tests.edge.photos.test_structure_from_motion import (
+from tests.edge.cameras.test_structure_from_motion import (
     BOX_HEIGHT,
     LENS,
     K,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.test_run import capture2vr
+from tests.cli.local.test_run import capture2vr
 from tests.conftest import missing
 from tests.support.clouds import write_ply
 

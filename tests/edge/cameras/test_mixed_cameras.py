@@ -10,7 +10,7 @@ import pytest
 
 from capture2vr.edge.cameras.structure_from_motion import align
 from capture2vr.edge.read_capture import read_capture
-from tests.edge.photos.test_structure_from_motion import centre_errors, centres
+from tests.edge.cameras.test_structure_from_motion import centre_errors, centres
 from tests.support.photos.walkaround import Shot, render_walkaround
 
 pytestmark = pytest.mark.slow

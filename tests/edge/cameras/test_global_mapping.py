@@ -11,7 +11,7 @@ from capture2vr.edge.cameras.features import FINE, find_features
 from capture2vr.edge.cameras.match_pairs import exhaustive
 from capture2vr.edge.cameras.sfm_process import Lens, SfmProblem, solve
 from capture2vr.edge.read_capture import read_capture
-from tests.edge.photos.test_structure_from_motion import centre_errors
+from tests.edge.cameras.test_structure_from_motion import centre_errors
 from tests.support.photos.walkaround import Walkaround, render_walkaround
 
 pytestmark = pytest.mark.slow

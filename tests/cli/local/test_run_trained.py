@@ -27,7 +27,7 @@ from capture2vr.edge.worker import memory_budget
 from capture2vr.order.job_options import JobOptions
 from capture2vr.process.archives import pack
 from capture2vr.storage.bundle import Bundle, sha256_hex
-from tests.cli.test_run import capture2vr
+from tests.cli.local.test_run import capture2vr
 from tests.support.clouds import write_ply
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
