@@ -31,8 +31,6 @@ LONG_FILES = {
     "edge/capture/frame_records.py",
     "edge/clouds/ply.py",
     "edge/pipeline.py",
-    "edge/render/photo_comparison.py",
-    "gateway/access/store.py",
     "gateway/app.py",
     "gateway/backup/restore.py",
     "gateway/jobs/store.py",
@@ -42,8 +40,6 @@ LONG_FILES = {
     "gateway/schemas.py",
     "gateway/workers/worker_client.py",
     "process/archives.py",
-    "storage/catalogue/publish.py",
-    "storage/catalogue/update.py",
 }
 COMPLEX = {
     "cli/main.py:push",

@@ -15,13 +15,13 @@ from PIL import Image
 
 from capture2vr.edge.arrays import Bools
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.render.marked_picture import marked_jpeg
 from capture2vr.edge.render.photo_comparison import (
     LikenessCheck,
     PhotoFigures,
     SurfaceCheck,
     check_likeness,
     check_surface,
-    marked_jpeg,
     mean_figures,
 )
 from capture2vr.edge.render.posed_picture import PosedPicture
