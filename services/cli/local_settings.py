@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.settings import StorageSettings, open_store
 from capture2vr.storage.store import Store

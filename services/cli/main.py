@@ -12,7 +12,6 @@ import typer
 import capture2vr
 from capture2vr.cli.backups.backup import app as backup
 from capture2vr.cli.deployment.deploy import app as deploy
-from capture2vr.cli.errors import BadInput, printable
 from capture2vr.cli.gateway import app as gateway
 from capture2vr.cli.options import (
     DEFAULT_GATEWAY,
@@ -35,9 +34,11 @@ from capture2vr.cli.options import (
     parse_box,
     read_edits,
 )
+from capture2vr.cli.printable import printable
 from capture2vr.cli.remote.catalogue import app as catalogue
 from capture2vr.cli.remote.keys import app as keys
 from capture2vr.cli.remote.shares import app as shares
+from capture2vr.errors import BadInput
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.download_formats import FORMATS
 from capture2vr.order.job_options import JobOptions

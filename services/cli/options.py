@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 from capture2vr.order.edits import LEAST_M, MOST_BYTES, MOST_M, NO_EDITS, Edits, InvalidEdits
 from capture2vr.order.option_table import OPTION_TABLE, Cut, Fill, VisibilityName
 from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox

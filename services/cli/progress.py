@@ -45,6 +45,10 @@ class StageBar:
             self._last_line_s = now
         self._stage = stage
 
+    def warn(self, text: str) -> None:
+        """Print a warning above the bar."""
+        warn(text)
+
     def __enter__(self) -> StageBar:
         self._bar.start()
         return self

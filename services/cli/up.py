@@ -15,9 +15,9 @@ from pathlib import Path
 
 import httpx
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.progress import console, warn
 from capture2vr.cli.stop_signals import exit_on_signals, stop_signals
+from capture2vr.errors import BadInput
 from capture2vr.process.child_start import python_command, start_child
 from capture2vr.process.strict_settings import LOOPBACK
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from capture2vr.errors import Capture2vrError
 
-class EdgeError(Exception):
+
+class EdgeError(Capture2vrError):
     """A failure with a stable code, a message and hints.
 
     code       SCREAMING_SNAKE, stable, e.g. "CAPTURE_TOO_FEW_POINTS"

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
+from capture2vr.errors import Capture2vrError
+
 _BLOCK_BYTES = 1 << 20  # per read: a zip bomb can write at most this much more than its limit
 _COMPRESSIONS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what phones write; LZMA's dictionary alone may need GBs
 _ENCRYPTED = 0x1  # general purpose bit flag, APPNOTE 4.4.4
@@ -82,7 +84,7 @@ _HINTS = {
 }
 
 
-class ArchiveError(Exception):
+class ArchiveError(Capture2vrError):
     """An archive that is hostile or damaged.
 
     code: ARCHIVE_...; message: one sentence; file: the entry at fault, or None; hints: what the user can do about it

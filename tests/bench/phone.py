@@ -18,8 +18,9 @@ from pillow_heif import register_heif_opener
 from playwright.sync_api import Page, sync_playwright
 
 from capture2vr.cli.progress import StageBar
-from capture2vr.cli.remote.push import follow, upload
 from capture2vr.cli.up import run_stack
+from capture2vr.client.jobs import follow
+from capture2vr.client.upload import upload
 from tests.bench.data_files import data_file
 from tests.support.chromium import launch
 from tests.support.photos.walkaround import render_walkaround

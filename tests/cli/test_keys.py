@@ -8,8 +8,8 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.main import app
+from capture2vr.errors import BadInput
 
 
 @pytest.fixture

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from capture2vr.cli.errors import BadInput
-from capture2vr.cli.remote import pull as pull_module
-from capture2vr.cli.remote.pull import default_cache, pull_asset
-from capture2vr.cli.remote.seen_version import SeenVersion, state_folder
+from capture2vr.cli.remote.pull import pull_asset
+from capture2vr.client import pull as pull_module
+from capture2vr.client.pull import default_cache
+from capture2vr.client.seen_version import SeenVersion, state_folder
+from capture2vr.errors import BadInput
 from capture2vr.storage.bundle import content_name, sha256_hex
 from capture2vr.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
 from capture2vr.storage.catalogue.entry import read_entry

@@ -9,8 +9,8 @@ from typing import Any
 import httpx
 import pytest
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.remote.pull import pull_asset
+from capture2vr.errors import BadInput
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer

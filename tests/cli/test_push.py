@@ -15,10 +15,11 @@ from typing import Any
 import httpx
 import pytest
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.progress import StageBar
 from capture2vr.cli.remote import push
-from capture2vr.cli.remote.push import push_capture, upload
+from capture2vr.cli.remote.push import push_capture
+from capture2vr.client.upload import upload
+from capture2vr.errors import BadInput
 from capture2vr.gateway.workers.worker_client import INSPECT_S
 from capture2vr.order.job_options import JobOptions
 from capture2vr.process.archives import pack
@@ -32,7 +33,7 @@ _PUSH = """
 import sys, httpx
 from pathlib import Path
 from capture2vr.cli.progress import StageBar
-from capture2vr.cli.remote.push import upload
+from capture2vr.client.upload import upload
 with httpx.Client(base_url=sys.argv[1]) as client, StageBar() as bar:
     upload(client, Path(sys.argv[2]), bar)
 """
@@ -157,7 +158,7 @@ def test_a_lost_answer_is_asked_for_again_and_the_addresses_that_are_printed_hav
         return httpx.Response(200, text="") if request.url.path.endswith("/events") else httpx.Response(200, json=job)
 
     transport = httpx.MockTransport(answer)
-    monkeypatch.setattr(push, "client_of", lambda url, **_: httpx.Client(base_url=url, transport=transport))
+    monkeypatch.setattr(push, "open_gateway", lambda url, **_: httpx.Client(base_url=url, transport=transport))
     (tmp_path / "scan.ply").write_bytes(cloud(1000))
     push_capture(tmp_path / "scan.ply", "http://gateway:8080/", key="scan")
     assert capsys.readouterr().err.count("http://gateway:8080/view/scan") == 2

@@ -14,9 +14,9 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.main import app
 from capture2vr.cli.remote.push import continue_capture
+from capture2vr.errors import BadInput
 from capture2vr.storage.catalogue.publish import publish
 from tests.support.gateway_process import GatewayProcess, running
 from tests.support.patience import PATIENCE_S

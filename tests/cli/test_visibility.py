@@ -8,8 +8,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.remote.visibility import set_visibility
+from capture2vr.errors import BadInput
 from capture2vr.gateway.access.caller import Scope
 from tests.support.sites import Site, site_at
 from tests.support.tenants import make_key, publish_for

@@ -66,7 +66,7 @@ def restore(
     A backup without the objects' contents is compared with the store. Exit code 1 if that lacks an object.
     """
     from capture2vr.cli.backups.backup_work import Parts, restore_backup
-    from capture2vr.cli.errors import BadInput
+    from capture2vr.errors import BadInput
 
     if only == "keys" and keys is None:
         raise BadInput("--only keys needs --keys: an empty folder to write them to")

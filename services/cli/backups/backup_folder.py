@@ -23,8 +23,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.progress import warn
+from capture2vr.errors import BadInput
 from capture2vr.process.atomic_write import sync
 from capture2vr.storage.bundle import sha256_of
 from capture2vr.storage.object_backup import PART, StoredObject, content_path

@@ -28,9 +28,9 @@ from capture2vr.cli.backups.backup_folder import (
     write_manifest,
 )
 from capture2vr.cli.backups.sealed_keys import KeyFile
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.local_settings import check_data, local_settings, local_store
 from capture2vr.cli.progress import console, warn
+from capture2vr.errors import BadInput
 from capture2vr.gateway.backup.database_copy import (
     DatabaseNotEmpty,
     Exported,

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.local_settings import check_data, local_settings, local_store
 from capture2vr.cli.progress import console, warn
+from capture2vr.errors import BadInput
 from capture2vr.gateway.backup.restore import restore
 from capture2vr.gateway.backup.scrub import Scrub
 from capture2vr.gateway.backup.snapshots import DatabaseDamaged, check_file, snapshots_in, sqlite_file

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.kdf.scrypt import Scrypt
 
 from capture2vr.cli.deployment.tls_authority import write_private
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 
 PASSPHRASE_VARIABLE = "CAPTURE2VR_BACKUP_PASSPHRASE"  # noqa: S105 - its name
 """Environment variable with the passphrase: on the command line others would read it."""

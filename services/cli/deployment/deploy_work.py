@@ -11,8 +11,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from capture2vr.cli.deployment.tls_authority import is_current, make_authority, make_server_certificate, write_private
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.progress import console, warn
+from capture2vr.errors import BadInput
 from capture2vr.process.strict_settings import LOOPBACK
 from capture2vr.storage.catalogue.signing import generate_key, read_signer
 

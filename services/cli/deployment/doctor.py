@@ -15,7 +15,7 @@ from rich.text import Text
 
 from capture2vr.cli.deployment.required_packages import required_packages
 from capture2vr.cli.progress import print_listing
-from capture2vr.cli.remote.http import client_of
+from capture2vr.client.http import client_of
 
 _EXTRAS = ("edge", "gateway", "storage")  # that `up` needs
 _MIN_FREE_BYTES = 2 << 30  # a capture of 300 frames with its staging, bundle and store copy

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 from capture2vr.process.atomic_write import atomic_write
 
 CA_DAYS = 3650

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from capture2vr.cli.errors import BadInput
-from capture2vr.cli.local.earlier_results import MANIFEST, REPORT, SOURCE, listed_files
 from capture2vr.cli.progress import console
+from capture2vr.client.earlier_results import MANIFEST, REPORT, SOURCE, listed_files
 from capture2vr.edge.convert.convert_bundle import BundleFolder, convert
+from capture2vr.errors import BadInput
 from capture2vr.order.download_formats import FORMATS, formats_of
 from capture2vr.process.atomic_write import atomic_write
 from capture2vr.storage.catalogue.entry import valid_key

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.edge.engine.nouns import Needs
 from capture2vr.edge.worker.memory_budget import machine_bytes, machine_cores
 from capture2vr.edge.worker.settings import EdgeSettings
+from capture2vr.errors import BadInput
 
 
 def edge_settings() -> EdgeSettings:

@@ -7,8 +7,8 @@ from typing import IO
 
 import numpy as np
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.errors import BadInput
 
 
 def read_reference(path: Path) -> Mesh:

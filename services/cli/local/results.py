@@ -10,12 +10,12 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from capture2vr.cli.errors import BadInput
-from capture2vr.cli.local.earlier_results import BUNDLE, PICTURES, PREVIEW, SOURCE, files_of_both, remove_earlier
 from capture2vr.cli.local.reference_mesh import read_mesh
 from capture2vr.cli.local.report import report_page
 from capture2vr.cli.progress import console, warn
+from capture2vr.client.earlier_results import BUNDLE, PICTURES, PREVIEW, SOURCE, files_of_both, remove_earlier
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.errors import BadInput
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
 from capture2vr.storage.catalogue.publish import PublishedAsset, publish

@@ -9,12 +9,12 @@ import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from capture2vr.cli.errors import BadInput, printable, sentence
-from capture2vr.cli.key_names import check_collection, check_key
-from capture2vr.cli.local.earlier_results import check_capture, folder_of_others
 from capture2vr.cli.local.reference_mesh import read_reference
 from capture2vr.cli.local.results import Results, print_result
+from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import StageBar, console
+from capture2vr.client.earlier_results import check_capture, folder_of_others
+from capture2vr.client.names import check_collection, check_key
 from capture2vr.edge.arrays import Tick, no_tick
 from capture2vr.edge.asset.target import Target, require_encoder, target_of
 from capture2vr.edge.capture.nouns import Capture
@@ -23,6 +23,7 @@ from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
 from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
+from capture2vr.errors import BadInput, sentence
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
 from capture2vr.process.archives import ArchiveError, is_zip, unpack

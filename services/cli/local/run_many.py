@@ -9,15 +9,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from capture2vr.cli.errors import BadInput, printable, sentence
-from capture2vr.cli.local.earlier_results import is_run, remove_earlier
 from capture2vr.cli.local.edge_settings import edge_settings, machine_room
 from capture2vr.cli.local.run import RunOptions, check_place, check_writable, key_from, preset_of, run_capture
+from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import StageBar, console
+from capture2vr.client.earlier_results import is_run, remove_earlier
 from capture2vr.edge.arrays import Tick
 from capture2vr.edge.engine.address import open_engine
 from capture2vr.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
 from capture2vr.edge.errors import EdgeError
+from capture2vr.errors import BadInput, sentence
 from capture2vr.order.edits import NO_EDITS
 
 _MEMORY_BYTES = 2 << 30  # of one capture: most of the bench's take less (tests/bench/results/pipeline.md)

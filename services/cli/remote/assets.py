@@ -11,10 +11,12 @@ import httpx
 from rich.table import Table
 from rich.text import Text
 
-from capture2vr.cli.errors import BadInput, parse_answer, printable
-from capture2vr.cli.key_names import check_collection, check_key
+from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import console, print_listing
-from capture2vr.cli.remote.http import client_of
+from capture2vr.client.answers import parse_answer
+from capture2vr.client.http import open_gateway
+from capture2vr.client.names import check_collection, check_key
+from capture2vr.errors import BadInput
 
 _PAGE = 100  # assets per request: the gateway's maximum
 _MB = 1e6
@@ -58,11 +60,8 @@ class AssetSearch:
 def list_assets(gateway: str, *, collection: str, wanted: AssetSearch) -> int:
     """Print the assets of a collection that are wanted, and return their number. Raises BadInput."""
     check_collection(collection)
-    try:
-        with client_of(gateway) as client:
-            rows = list(_rows(client, collection, wanted))
-    except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    with open_gateway(gateway) as client:
+        rows = list(_rows(client, collection, wanted))
     table = Table(title=f"{collection}: {len(rows):,} assets")
     for column in ("key", "label", "labels", "version", "state", "updated", "MB"):
         table.add_column(column, justify="right" if column in ("version", "MB") else "left", overflow="fold")
@@ -86,11 +85,8 @@ def set_removed(key: str, gateway: str, verb: str, *, collection: str) -> None:
     check_key(key)
     if collection:
         check_collection(collection)
-    try:
-        with client_of(gateway) as client:
-            answer = parse_answer(client.post(f"/v1/assets/{key}/{verb}", params={"collection": collection}))
-    except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    with open_gateway(gateway) as client:
+        answer = parse_answer(client.post(f"/v1/assets/{key}/{verb}", params={"collection": collection}))
     state = "removed; its files are kept, and `restore` brings it back" if answer["removed"] else "available"
     console.print(f"{key} version {answer['version']} is {state}")
 

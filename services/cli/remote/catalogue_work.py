@@ -8,17 +8,19 @@ from pathlib import Path
 import httpx
 from rich.table import Table
 
-from capture2vr.cli.errors import BadInput, parse_answer
-from capture2vr.cli.key_names import check_collection
 from capture2vr.cli.progress import console, warn
-from capture2vr.cli.remote.http import client_of
+from capture2vr.client.answers import parse_answer
+from capture2vr.client.http import open_gateway
+from capture2vr.client.names import check_collection
+from capture2vr.client.trusted_keys import load_verification_keys, storage_keys, storage_settings
+from capture2vr.errors import BadInput
 from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
 from capture2vr.storage.catalogue.reader import collection_names
-from capture2vr.storage.catalogue.signing import Keys, PublicKey, generate_key, read_public_key
+from capture2vr.storage.catalogue.signing import PublicKey, generate_key
 from capture2vr.storage.catalogue.update import rebuild
 from capture2vr.storage.catalogue.verify import CheckResult, Fetch, fetch_from, verify
-from capture2vr.storage.settings import StorageSettings, open_keys, open_store
+from capture2vr.storage.settings import open_store
 
 _MOST_SHOWN = 20  # faults printed of one kind; there may be thousands
 _BLOCK_BYTES = 1 << 20  # per read of a download
@@ -34,24 +36,21 @@ def verify_collection(collection: str, gateway: str, trusted: Sequence[Path], *,
     verification_keys = load_verification_keys(trusted)
     if not verification_keys:
         warn("the signature is not checked, because no public key is given: use --trusted key.pub")
-    try:
-        results = _verify(collection, gateway, verification_keys, at_least)
-    except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    results = _verify(collection, gateway, verification_keys, at_least)
     _print_results(collection, results)
     return not results[-1].faults
 
 
 def stored_collections() -> list[str]:
     """Return the collections on the store of the STORAGE_* variables; the default one where there are none yet."""
-    return list(collection_names(open_store(_settings()))) or [DEFAULT_COLLECTION]
+    return list(collection_names(open_store(storage_settings()))) or [DEFAULT_COLLECTION]
 
 
 def rebuild_collection(collection: str) -> None:
     """Rebuild a collection on the store of the STORAGE_* variables, and sign it with their keys. Raises BadInput."""
     check_collection(collection)
-    settings = _settings()
-    keys = _keys(settings)
+    settings = storage_settings()
+    keys = storage_keys(settings)
     index = rebuild(open_store(settings), collection, keys)
     count = sum(shard.count for shard in index.shards)
     signed = f"signed by {', '.join(each.public.id for each in keys.signers)}" if keys.signers else "not signed"
@@ -68,8 +67,9 @@ def _verify(
     collection: str, gateway: str, verification_keys: tuple[PublicKey, ...], at_least: int
 ) -> list[CheckResult]:
     if not gateway:
-        return list(verify(fetch_from(open_store(_settings())), collection, verification_keys, at_least=at_least))
-    with client_of(gateway, follow_redirects=True) as client:
+        stored = fetch_from(open_store(storage_settings()))
+        return list(verify(stored, collection, verification_keys, at_least=at_least))
+    with open_gateway(gateway, follow_redirects=True) as client:
         answer = client.get(f"/v1/collections/{collection}")
         fetch = _fetch_from_url(client, str(parse_answer(answer)["base"]), {index_name(collection): answer.content})
         return list(verify(fetch, collection, verification_keys, at_least=at_least))
@@ -104,27 +104,3 @@ def _print_results(collection: str, results: list[CheckResult]) -> None:
         console.print(f"{fault.code}  {fault}", soft_wrap=True, markup=False)
     if len(faults) > _MOST_SHOWN:
         console.print(f"and {len(faults) - _MOST_SHOWN:,} more faults")
-
-
-def load_verification_keys(trusted: Sequence[Path]) -> tuple[PublicKey, ...]:
-    """Read the public keys in these files; without files, those of the STORAGE_* variables. Raises BadInput."""
-    if not trusted:
-        return _keys(_settings()).verification_keys
-    try:
-        return tuple(read_public_key(path) for path in trusted)
-    except ValueError as error:
-        raise BadInput(f"--trusted: {error}") from error
-
-
-def _keys(settings: StorageSettings) -> Keys:
-    try:
-        return open_keys(settings)
-    except ValueError as error:
-        raise BadInput(str(error)) from error
-
-
-def _settings() -> StorageSettings:
-    try:
-        return StorageSettings()
-    except ValueError as error:
-        raise BadInput(str(error)) from error

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 
 app = typer.Typer(help="Create, list and revoke the access keys of a gateway.", no_args_is_help=True)
 

@@ -17,10 +17,12 @@ from rich.table import Table
 from rich.text import Text
 from sqlalchemy.exc import SQLAlchemyError
 
-from capture2vr.cli.errors import BadInput, parse_answer, printable
 from capture2vr.cli.local_settings import check_data, local_settings
+from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import console, print_listing, warn
-from capture2vr.cli.remote.http import API_KEY_VARIABLE, client_of
+from capture2vr.client.answers import parse_answer
+from capture2vr.client.http import API_KEY_VARIABLE, open_gateway
+from capture2vr.errors import BadInput
 from capture2vr.gateway.access.api_key import ApiKey
 from capture2vr.gateway.access.caller import parse_scopes, scope_names
 from capture2vr.gateway.access.store import AccessStore
@@ -61,7 +63,7 @@ def open_keys(data: Path, gateway: str, *, is_first: bool = False) -> Iterator[K
         if gateway:
             if not os.environ.get(API_KEY_VARIABLE):
                 raise BadInput(f"set {API_KEY_VARIABLE} to an access key with the scope manage or operate")
-            with client_of(gateway) as client:
+            with open_gateway(gateway) as client:
                 yield _AtGateway(client)
         else:
             if not is_first:
@@ -71,8 +73,6 @@ def open_keys(data: Path, gateway: str, *, is_first: bool = False) -> Iterator[K
                 yield _InDatabase(AccessStore(engine))
             finally:
                 engine.dispose()
-    except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise BadInput(f"{gateway} cannot be reached: {error}") from error
     except SQLAlchemyError as error:
         raise BadInput(f"the gateway's database cannot be used: {getattr(error, 'orig', None) or error}") from error
 

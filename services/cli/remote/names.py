@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import httpx
 from rich.text import Text
 
-from capture2vr.cli.errors import BadInput, parse_answer, printable
-from capture2vr.cli.key_names import check_key
+from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import console
-from capture2vr.cli.remote.http import client_of
+from capture2vr.client.answers import parse_answer
+from capture2vr.client.http import open_gateway
+from capture2vr.client.names import check_key
+from capture2vr.errors import BadInput
 
 
 def change_names(
@@ -22,11 +23,8 @@ def change_names(
     changes = {name: value for name, value in given.items() if value is not None}
     if not changes:
         raise BadInput("nothing to change: give --label, --description, --tag or --no-tags")
-    try:
-        with client_of(gateway) as client:
-            answer = parse_answer(client.patch(f"/v1/assets/{key}", json=changes))
-    except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    with open_gateway(gateway) as client:
+        answer = parse_answer(client.patch(f"/v1/assets/{key}", json=changes))
     words = f" ({', '.join(answer['labels'])})" if answer["labels"] else ""
     console.print(Text(printable(f"{key}: {answer['label']}{words}")), soft_wrap=True)
     if answer["description"]:

@@ -9,10 +9,12 @@ from typing import Any
 import httpx
 from rich.text import Text
 
-from capture2vr.cli.errors import BadInput, parse_answer, printable
-from capture2vr.cli.key_names import check_key
+from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import print_listing
-from capture2vr.cli.remote.http import client_of
+from capture2vr.client.answers import parse_answer
+from capture2vr.client.http import open_gateway
+from capture2vr.client.names import check_key
+from capture2vr.errors import BadInput
 from capture2vr.storage.catalogue.asset_notes import Note, Place
 
 _NOTE_ID = re.compile(r"note_[0-9a-f]{16}", re.ASCII)
@@ -29,17 +31,14 @@ def change_notes(key: str, gateway: str, *, add: str, at: Place | None, remove: 
     if remove and not _NOTE_ID.fullmatch(remove):
         raise BadInput(f"'{printable(remove)}' is not the id of a note: `capture2vr notes {key}` lists them")
     path = f"/v1/assets/{key}/notes"
-    try:
-        with client_of(gateway) as client:
-            if add:
-                parse_answer(client.post(path, json={"text": add, "at": at}))
-            if remove:
-                answer = client.delete(f"{path}/{remove}")
-                if answer.status_code != httpx.codes.NO_CONTENT:
-                    parse_answer(answer)
-            found: dict[str, Any] = parse_answer(client.get(path))
-    except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    with open_gateway(gateway) as client:
+        if add:
+            parse_answer(client.post(path, json={"text": add, "at": at}))
+        if remove:
+            answer = client.delete(f"{path}/{remove}")
+            if answer.status_code != httpx.codes.NO_CONTENT:
+                parse_answer(answer)
+        found: dict[str, Any] = parse_answer(client.get(path))
     for note in map(Note.of, found["notes"]):
         print_listing(Text(printable(_line(note, found["version"]))))
 

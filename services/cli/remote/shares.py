@@ -25,19 +25,21 @@ def create(
     gateway: Gateway = DEFAULT_GATEWAY,
 ) -> None:
     """Create a share link and print it. Visitors have to type what is in CAPTURE2VR_SHARE_PASSWORD, if anything."""
-    from capture2vr.cli.remote.shares_work import ShareOptions, create_share, open_shares
+    from capture2vr.cli.remote.shares_work import ShareOptions, create_share
+    from capture2vr.client.http import open_gateway
 
     options = ShareOptions(name, collection, mode, label, expires_days)
-    with open_shares(gateway) as client:
+    with open_gateway(gateway) as client:
         create_share(client, options)
 
 
 @app.command(name="list")
 def list_command(gateway: Gateway = DEFAULT_GATEWAY) -> None:
     """List share links: what they open, how often they were opened, and when they end."""
-    from capture2vr.cli.remote.shares_work import list_shares, open_shares
+    from capture2vr.cli.remote.shares_work import list_shares
+    from capture2vr.client.http import open_gateway
 
-    with open_shares(gateway) as client:
+    with open_gateway(gateway) as client:
         list_shares(client)
 
 
@@ -47,7 +49,8 @@ def revoke(
     gateway: Gateway = DEFAULT_GATEWAY,
 ) -> None:
     """Revoke a share link: it is refused everywhere within a minute, the CDN included."""
-    from capture2vr.cli.remote.shares_work import open_shares, revoke_share
+    from capture2vr.cli.remote.shares_work import revoke_share
+    from capture2vr.client.http import open_gateway
 
-    with open_shares(gateway) as client:
+    with open_gateway(gateway) as client:
         revoke_share(client, share)

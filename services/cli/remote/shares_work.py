@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +13,12 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from capture2vr.cli.errors import BadInput, parse_answer, printable
-from capture2vr.cli.key_names import check_collection, check_key
+from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import console, print_listing
-from capture2vr.cli.remote.http import client_of
-from capture2vr.cli.remote.share_link import PASSWORD_VARIABLE
+from capture2vr.client.answers import parse_answer
+from capture2vr.client.names import check_collection, check_key
+from capture2vr.client.share_link import PASSWORD_VARIABLE
+from capture2vr.errors import BadInput
 from capture2vr.gateway.access.shares import SHARE_ID
 
 _PAGE = 200
@@ -33,16 +33,6 @@ class ShareOptions:
     mode: str
     label: str
     expires_days: int
-
-
-@contextmanager
-def open_shares(gateway: str) -> Iterator[httpx.Client]:
-    """Open a client of the gateway. Raises BadInput, also in the block, where the gateway cannot be reached."""
-    try:
-        with client_of(gateway) as client:
-            yield client
-    except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise BadInput(f"{gateway} cannot be reached: {error}") from error
 
 
 def create_share(client: httpx.Client, options: ShareOptions) -> None:

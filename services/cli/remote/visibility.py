@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import httpx
-
-from capture2vr.cli.errors import BadInput, parse_answer
-from capture2vr.cli.key_names import check_collection, check_key
 from capture2vr.cli.progress import console
-from capture2vr.cli.remote.http import client_of
+from capture2vr.client.answers import parse_answer
+from capture2vr.client.http import open_gateway
+from capture2vr.client.names import check_collection, check_key
 
 INHERITED = "inherited"
 """The choice that leaves it to the asset's collections, or to the gateway."""
@@ -28,10 +26,7 @@ def set_visibility(name: str, visibility: str, gateway: str, *, is_collection: b
         check_key(name)
     path = f"/v1/{'collections' if is_collection else 'assets'}/{name}/visibility"
     wanted = None if visibility == INHERITED else visibility
-    try:
-        with client_of(gateway) as client:
-            answer = parse_answer(client.put(path, json={"visibility": wanted}))
-    except (httpx.TransportError, httpx.InvalidURL) as error:
-        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    with open_gateway(gateway) as client:
+        answer = parse_answer(client.put(path, json={"visibility": wanted}))
     console.print(f"{name}: {_MEANING[answer['effective']]}")
     console.print(f"{gateway.rstrip('/')}{answer['view']}", soft_wrap=True)

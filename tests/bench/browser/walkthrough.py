@@ -19,8 +19,9 @@ from PIL import Image, ImageDraw, ImageFont
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from capture2vr.cli.progress import StageBar
-from capture2vr.cli.remote.push import follow, upload
 from capture2vr.cli.up import Stack, run_stack
+from capture2vr.client.jobs import follow
+from capture2vr.client.upload import upload
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
 from tests.bench.data_files import PICTURES, data_file
 from tests.support.chromium import launch

@@ -20,8 +20,9 @@ from typing import Any
 import httpx
 
 from capture2vr.cli.progress import StageBar
-from capture2vr.cli.remote.push import follow, upload
 from capture2vr.cli.up import run_stack
+from capture2vr.client.jobs import follow
+from capture2vr.client.upload import upload
 from tests.bench.data_files import PICTURES, data_file
 from tests.bench.load.fleet_model import WAYS, Fleet, Outcome, Sample, Scaling, Way, simulate
 from tests.bench.photo_sets import shell

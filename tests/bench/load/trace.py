@@ -15,8 +15,9 @@ from pathlib import Path
 import httpx
 
 from capture2vr.cli.progress import StageBar
-from capture2vr.cli.remote.push import follow, upload
 from capture2vr.cli.up import free_port
+from capture2vr.client.jobs import follow
+from capture2vr.client.upload import upload
 from capture2vr.process.traces import trace_id
 from tests.bench.data_files import PICTURES, data_file
 from tests.support.gateway_process import running

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.local.convert import convert_folder
 from capture2vr.cli.remote.download_format import download_format
 from capture2vr.cli.up import run_stack
+from capture2vr.errors import BadInput
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.local import LocalStore
 from tests.support.downloadable import SHEET, SLATE, downloadable, written

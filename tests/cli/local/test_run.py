@@ -14,10 +14,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.local.reference_mesh import read_reference
 from capture2vr.cli.local.run import RunOptions, run_capture, run_preset
 from capture2vr.edge.preset import Preset
+from capture2vr.errors import BadInput
 from capture2vr.order.job_options import JobOptions
 from tests.referees.glb_reader import Glb
 from tests.support.clouds import write_ply

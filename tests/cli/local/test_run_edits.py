@@ -12,8 +12,8 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.main import app
+from capture2vr.errors import BadInput
 from tests.support.two_balls import BLUE_AT, RADIUS_M, RED_AT, line_around, picture_name, write_two_balls
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_pictures")]

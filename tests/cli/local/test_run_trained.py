@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.local.results import Results
 from capture2vr.cli.local.run import RunOptions, run_preset
 from capture2vr.cli.local.run_many import run_captures
@@ -24,6 +23,7 @@ from capture2vr.cli.remote.push import continue_capture, push_capture
 from capture2vr.edge.paper_field.network_config import NetworkConfig
 from capture2vr.edge.preset import Preset, preset_names
 from capture2vr.edge.worker import memory_budget
+from capture2vr.errors import BadInput
 from capture2vr.order.job_options import JobOptions
 from capture2vr.process.archives import pack
 from capture2vr.storage.bundle import Bundle, sha256_hex

@@ -15,7 +15,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from capture2vr.cli.errors import BadInput
 from capture2vr.cli.local.run import RunOptions, run_capture
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.errors import Cancelled, EdgeError
@@ -28,6 +27,7 @@ from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError
 from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.errors import BadInput
 from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.memory import MemoryStore
 from tests.edge.export.test_glb import PACKINGS, PICTURED

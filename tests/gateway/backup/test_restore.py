@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from capture2vr.cli.backups.database_work import check_database, restore_database, scrub_store
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 from capture2vr.gateway.access.caller import ALL_SCOPES
 from capture2vr.gateway.access.store import AccessStore
 from capture2vr.gateway.backup.restore import restore

@@ -8,7 +8,8 @@ from urllib.parse import urlsplit
 
 import httpx
 
-from capture2vr.cli.errors import BadInput, parse_answer
+from capture2vr.client.answers import parse_answer
+from capture2vr.errors import BadInput
 
 PASSWORD_VARIABLE = "CAPTURE2VR_SHARE_PASSWORD"  # noqa: S105 - the name of the variable
 """Environment variable of a share's password: on a command line everybody on the machine could read it."""

@@ -16,13 +16,14 @@ from typing import Any
 
 import httpx
 
-from capture2vr.cli.errors import BadInput, parse_answer
-from capture2vr.cli.progress import StageBar, warn
-from capture2vr.cli.remote.seen_version import state_folder
+from capture2vr.client.answers import parse_answer
+from capture2vr.client.report import Report
+from capture2vr.client.seen_version import state_folder
+from capture2vr.errors import BadInput
 from capture2vr.process.atomic_write import atomic_write
 
 _PIECE_BYTES = 16 << 20  # with a checksum of its own: what a lost connection costs at most
-_CHUNK_BYTES = 256 << 10  # the progress bar moves with each
+_CHUNK_BYTES = 256 << 10  # progress is reported with each
 _PAUSE_S = (0.2, 0.5, 1.0, 2.0, 5.0)  # before attempts that follow each other
 _GIVE_UP_S = 300.0  # without progress: a phone's tunnel, a gateway's update
 CHECKING = httpx.Timeout(30.0, read=900.0)
@@ -46,7 +47,7 @@ class _Again(Exception):  # noqa: N818 - not a fault yet
 def upload_resumably(
     client: httpx.Client,
     archive: Path,
-    bar: StageBar,
+    report: Report,
     told: Mapping[str, str],
     params: Mapping[str, str],
     *,
@@ -65,9 +66,9 @@ def upload_resumably(
     size = archive.stat().st_size
     memory = _Memory(client, archive, params)
     upload = _Attempts().run(lambda: _find(client, memory.upload) or _create(client, size, told))
-    memory.remember(upload)
-    _send(client, upload, archive, bar)
-    bar.show("CHECKING", 1.0, f"{size / 1e6:.1f} MB")
+    memory.remember(upload, report)
+    _send(client, upload, archive, report)
+    report.show("CHECKING", 1.0, f"{size / 1e6:.1f} MB")
     answer = _Attempts().run(lambda: _finish(client, upload, params))
     if answer.status_code in _REFUSED or answer.status_code == _GONE:
         memory.forget()
@@ -92,18 +93,18 @@ def _create(client: httpx.Client, size: int, told: Mapping[str, str]) -> str:
     return str(answer.headers["Location"])
 
 
-def _send(client: httpx.Client, upload: str, archive: Path, bar: StageBar) -> None:
+def _send(client: httpx.Client, upload: str, archive: Path, report: Report) -> None:
     """Send what the gateway does not have yet, piece by piece."""
     size, attempts = archive.stat().st_size, _Attempts()
     offset = attempts.run(lambda: _offset(client, upload))
     if offset:
-        bar.show("UPLOADING", offset / size, f"goes on at {offset / 1e6:.1f} of {size / 1e6:.1f} MB")
+        report.show("UPLOADING", offset / size, f"goes on at {offset / 1e6:.1f} of {size / 1e6:.1f} MB")
     with archive.open("rb") as file:
         while offset < size:
             file.seek(offset)
             piece = file.read(_PIECE_BYTES)
             try:
-                offset = _send_piece(client, upload, offset, _chunks(piece, offset, size, bar), piece)
+                offset = _send_piece(client, upload, offset, _chunks(piece, offset, size, report), piece)
                 attempts = _Attempts()
             except (_Again, httpx.TransportError) as failure:
                 attempts.wait(failure)
@@ -147,11 +148,11 @@ def _checked(answer: httpx.Response) -> httpx.Response:
     return answer
 
 
-def _chunks(piece: bytes, offset: int, size: int, bar: StageBar) -> Iterator[bytes]:
+def _chunks(piece: bytes, offset: int, size: int, report: Report) -> Iterator[bytes]:
     for start in range(0, len(piece), _CHUNK_BYTES):
         yield piece[start : start + _CHUNK_BYTES]
         sent = offset + min(start + _CHUNK_BYTES, len(piece))
-        bar.show("UPLOADING", sent / size, f"{sent / 1e6:.1f} of {size / 1e6:.1f} MB")
+        report.show("UPLOADING", sent / size, f"{sent / 1e6:.1f} of {size / 1e6:.1f} MB")
 
 
 class _Attempts:
@@ -205,14 +206,14 @@ class _Memory:
             return ""
         return upload if isinstance(upload, str) and upload.startswith("/v1/uploads/") else ""
 
-    def remember(self, upload: str) -> None:
+    def remember(self, upload: str, report: Report) -> None:
         """Write the upload down, or warn: the upload itself needs no folder of the user's."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(self._path) as part:
                 part.write_text(json.dumps({"upload": upload}))
         except OSError as error:
-            warn(f"if this push is cut off, the next one begins anew: {error}")
+            report.warn(f"if this push is cut off, the next one begins anew: {error}")
 
     def forget(self) -> None:
         """Forget the upload: it has become a capture, or never will."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import httpx
 
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import GatewayError
 from capture2vr.process.atomic_write import atomic_write
 from capture2vr.storage.bundle import sha256_of
 from capture2vr.storage.catalogue.faults import FILE_CHANGED, FILE_MISSING, CatalogueFault
@@ -38,7 +38,7 @@ class RemoteObjects:
         """Download an object and yield its bytes in blocks.
 
         absent, changed  codes of the CatalogueFault for a missing object, and for one that is too long or incomplete
-        Raises BadInput for other HTTP errors, httpx.RequestError where the server cannot be reached.
+        Raises GatewayError for other HTTP errors, httpx.RequestError where the server cannot be reached.
         """
         size = 0
         with self.client.stream("GET", self.base + name) as response:
@@ -46,7 +46,7 @@ class RemoteObjects:
             if status in (403, 404):  # S3 answers 403 for a missing object if listing is not allowed
                 raise CatalogueFault(absent, name, f"it is missing: {address} answered {status}")
             if not response.is_success:
-                raise BadInput(f"{address} answered {status}")
+                raise GatewayError(f"{address} answered {status}", status=status)
             try:
                 for block in response.iter_bytes(_CHUNK_BYTES):
                     size += len(block)

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 from capture2vr.storage.bundle import sha256_of
 
 MANIFEST, REPORT = "manifest.json", "report.json"

@@ -9,7 +9,7 @@ import json
 import os
 from pathlib import Path
 
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 from capture2vr.process.atomic_write import atomic_write
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from capture2vr.cli.errors import BadInput
+from capture2vr.errors import BadInput
 from capture2vr.storage.catalogue.entry import valid_key
 
 
