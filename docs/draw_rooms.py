@@ -37,7 +37,7 @@ TOP_ROOMS = {
         "settings": ("settings", "bucket"),
     },
 }
-WHOLE = ("cli", "web")  # services that are one room
+WHOLE = ("cli", "client", "library", "web")  # services that are one room
 BELOW_ALL = ("order", "process")  # every service may import them, and arrows to them say nothing
 LEFT_OUT = ("api", "presets")  # generated code; settings
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import httpx
@@ -36,3 +36,12 @@ def problem_error(
     line = sentence(problem["detail"], file=problem.get("file") or file, hints=hints)
     code, retryable = str(problem.get("code") or ""), bool(problem.get("retryable"))
     return kind(line, code=code, status=status, hints=hints, retryable=retryable)
+
+
+def paged(client: httpx.Client, path: str, name: str, query: Mapping[str, str | int]) -> Iterator[Any]:
+    """Yield the items of a list that comes in pages. name: the field of a page that has them. Raises GatewayError."""
+    after: str | None = ""
+    while after is not None:
+        page = parse_answer(client.get(path, params={**query, "after": after}))
+        yield from page[name]
+        after = page["next"]

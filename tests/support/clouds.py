@@ -23,3 +23,10 @@ def write_ply(path: Path, xyz: np.ndarray, rgb: np.ndarray | None = None) -> Pat
     header += [f"property {kinds[kind]} {name}" for name, kind in fields] + ["end_header", ""]
     path.write_bytes("\n".join(header).encode() + rows.tobytes())
     return path
+
+
+def sphere_points(count: int) -> np.ndarray:
+    """(count,3) points at random on the unit sphere, the same each time."""
+    directions = np.random.default_rng(0).normal(size=(count, 3))
+    unit: np.ndarray = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return unit

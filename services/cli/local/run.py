@@ -24,14 +24,12 @@ from capture2vr.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
 from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from capture2vr.errors import BadInput, sentence
+from capture2vr.library.source import open_source
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
-from capture2vr.process.archives import ArchiveError, is_zip, unpack
+from capture2vr.process.archives import ArchiveError
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
-
-_READ_AS_IT_IS = (".r3d", ".usdz", ".3mf")
-"""Archives that are a file to whoever reads captures: Record3D's, and models, which it names as not readable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,20 +130,6 @@ def check_place(out: Path, source: Path) -> None:
     check_capture(source)
     if other := folder_of_others(out):
         raise BadInput(f"{other} exists and is no result of `capture2vr run`: name another folder with -o")
-
-
-def open_source(source: Path, scratch: Path) -> Path:
-    """Return the capture's folder or file, unpacking an archive into `scratch`. Raises BadInput, ArchiveError."""
-    if not source.exists():
-        raise BadInput(f"{source}: there is no such file or folder")
-    if not source.is_file() and not source.is_dir():
-        raise BadInput(f"{source} is neither a file nor a folder")  # reading a pipe or a device may never end
-    # A file named .zip must be an archive: if not, unpack() says so.
-    suffix = source.suffix.lower()
-    if source.is_file() and suffix not in _READ_AS_IT_IS and (suffix == ".zip" or is_zip(source)):
-        unpack(source, scratch / "capture")
-        return scratch / "capture"
-    return source
 
 
 def _reconstruct_into(

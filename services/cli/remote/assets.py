@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date, datetime, time, timedelta
-from typing import Any
 
-import httpx
 from rich.table import Table
 from rich.text import Text
 
 from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import console, print_listing
 from capture2vr.client.answers import parse_answer
+from capture2vr.client.assets import assets_of
 from capture2vr.client.http import open_gateway
 from capture2vr.client.names import check_collection, check_key
 from capture2vr.errors import BadInput
 
-_PAGE = 100  # assets per request: the gateway's maximum
 _MB = 1e6
 
 
@@ -61,14 +58,14 @@ def list_assets(gateway: str, *, collection: str, wanted: AssetSearch) -> int:
     """Print the assets of a collection that are wanted, and return their number. Raises BadInput."""
     check_collection(collection)
     with open_gateway(gateway) as client:
-        rows = list(_rows(client, collection, wanted))
+        rows = list(assets_of(client, collection, wanted.query()))
     table = Table(title=f"{collection}: {len(rows):,} assets")
     for column in ("key", "label", "labels", "version", "state", "updated", "MB"):
         table.add_column(column, justify="right" if column in ("version", "MB") else "left", overflow="fold")
     for row in rows:
-        names = (row["key"], row["label"], ", ".join(row["labels"]))
-        size = "" if row["bytes"] is None else f"{row['bytes'] / _MB:.1f}"
-        facts = (str(row["version"]), row["state"], row["updated"], size)
+        names = (row.key, row.label, ", ".join(row.labels))
+        size = "" if row.bytes is None else f"{row.bytes / _MB:.1f}"
+        facts = (str(row.version), row.state, row.updated, size)
         table.add_row(
             *(Text(printable(cell)) for cell in (*names, *facts))
         )  # Text, because labels may look like markup
@@ -93,12 +90,3 @@ def set_removed(key: str, gateway: str, verb: str, *, collection: str) -> None:
 
 def _begin_of(day: date) -> datetime:
     return datetime.combine(day, time.min).astimezone()
-
-
-def _rows(client: httpx.Client, collection: str, wanted: AssetSearch) -> Iterator[dict[str, Any]]:
-    after: str | None = ""
-    while after is not None:
-        query = {**wanted.query(), "after": after, "limit": _PAGE}
-        page = parse_answer(client.get(f"/v1/collections/{collection}/assets", params=query))
-        yield from page["assets"]
-        after = page["next"]

@@ -20,7 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from capture2vr.cli.local_settings import check_data, local_settings
 from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import console, print_listing, warn
-from capture2vr.client.answers import parse_answer
+from capture2vr.client.answers import paged, parse_answer
 from capture2vr.client.http import API_KEY_VARIABLE, open_gateway
 from capture2vr.errors import BadInput
 from capture2vr.gateway.access.api_key import ApiKey
@@ -139,12 +139,7 @@ class _AtGateway:
         return created
 
     def all(self, tenant: str) -> Iterator[dict[str, Any]]:
-        after: str | None = ""
-        while after is not None:
-            query: dict[str, str | int] = {"tenant": tenant or self._widest, "after": after, "limit": _PAGE}
-            page = parse_answer(self._client.get("/v1/api-keys", params=query))
-            yield from page["keys"]
-            after = page["next"]
+        return paged(self._client, "/v1/api-keys", "keys", {"tenant": tenant or self._widest, "limit": _PAGE})
 
     def revoke(self, key: str) -> dict[str, Any]:
         revoked: dict[str, Any] = parse_answer(self._client.post(f"/v1/api-keys/{key}/revoke"))

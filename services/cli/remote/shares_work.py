@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +14,7 @@ from rich.text import Text
 
 from capture2vr.cli.printable import printable
 from capture2vr.cli.progress import console, print_listing
-from capture2vr.client.answers import parse_answer
+from capture2vr.client.answers import paged, parse_answer
 from capture2vr.client.names import check_collection, check_key
 from capture2vr.client.share_link import PASSWORD_VARIABLE
 from capture2vr.errors import BadInput
@@ -60,7 +59,7 @@ def list_shares(client: httpx.Client) -> None:
     table = Table()
     for column in ("id", "opens", "may", "label", "state", "opened", "link"):
         table.add_column(column, overflow="fold", no_wrap=column == "id")
-    for share in _all(client):
+    for share in paged(client, "/v1/shares", "shares", {"limit": _PAGE}):
         thing = f"{share['kind']} {share['name']}"
         texts = (share["id"], thing, share["mode"], share["label"], _state(share), share["opened"], share["url"])
         table.add_row(*(Text(printable(str(text))) for text in texts))
@@ -73,14 +72,6 @@ def revoke_share(client: httpx.Client, share: str) -> None:
         raise BadInput(f"'{printable(share)}' is not the id of a share: `shares list` tells it")
     revoked = parse_answer(client.delete(f"/v1/shares/{share}"))
     console.print(f"{revoked['id']} of {revoked['name']} is revoked: its link is refused within a minute")
-
-
-def _all(client: httpx.Client) -> Iterator[dict[str, Any]]:
-    after: str | None = ""
-    while after is not None:
-        page = parse_answer(client.get("/v1/shares", params={"limit": _PAGE, "after": after}))
-        yield from page["shares"]
-        after = page["next"]
 
 
 def _state(share: dict[str, Any]) -> str:

@@ -109,6 +109,15 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
         some, whole, warnings = read_some(parts, name, folder.tick)
         return _capture(kind, name, some, warnings, whole)
     cloud, warnings = _read(folder, name, kind)
+    return capture_of_cloud(cloud, name, kind, warnings)
+
+
+def capture_of_cloud(cloud: Cloud, name: str, kind: str, warnings: tuple[str, ...] = ()) -> Capture:
+    """Validate a point cloud, and return a capture of kind "points".
+
+    name  of its file, for errors; kind: its format. Raises CaptureError for too many or too few points, for points on a
+    line, and where many are not finite.
+    """
     if len(cloud.xyz) > MAX_POINTS:
         raise too_many_points(len(cloud.xyz), name)
     (xyz,), moved = _near_origin([cloud.xyz], name)

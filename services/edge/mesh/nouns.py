@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, pick
+from capture2vr.errors import BadInput
+
+if TYPE_CHECKING:  # other programs' types, which only those who ask for them have to load
+    import open3d
+    import trimesh
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +27,36 @@ class Mesh:
     def with_vertices(self, which: Bools | Ints, faces: Ints) -> Mesh:
         """Copy with a selection of vertices (a mask, or indices in the new order), and `faces` (F,3) over them."""
         return Mesh(self.vertices[which], faces, pick(self.rgb, which))
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """Convert to a mesh of trimesh, which writes GLB, PLY, OBJ and STL: `mesh.to_trimesh().export("mesh.glb")`.
+
+        Same vertices and units; colours become vertex colours (V,4) uint8.
+
+        >>> triangle = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+        >>> round(float(triangle.to_trimesh().area), 3)
+        0.866
+        """
+        import trimesh
+
+        return trimesh.Trimesh(self.vertices, self.faces, vertex_colors=self.rgb, process=False)
+
+    def to_open3d(self) -> open3d.geometry.TriangleMesh:
+        """Convert to a triangle mesh of Open3D; colours become floats (V,3) in [0,1]. Raises BadInput without Open3D.
+
+        >>> Mesh(np.eye(3), np.array([[0, 1, 2]])).to_open3d()  # doctest: +SKIP
+        TriangleMesh with 3 points and 1 triangles.
+        """
+        try:
+            import open3d
+        except ImportError:
+            raise BadInput("Open3D is not installed: pip install open3d") from None
+        mesh = open3d.geometry.TriangleMesh(
+            open3d.utility.Vector3dVector(self.vertices), open3d.utility.Vector3iVector(self.faces)
+        )
+        if self.rgb is not None:
+            mesh.vertex_colors = open3d.utility.Vector3dVector(self.rgb / 255)
+        return mesh
 
 
 @dataclass(frozen=True, slots=True)

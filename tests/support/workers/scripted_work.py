@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.arrays import Tick
@@ -78,3 +80,24 @@ class Making:
         if "fail" in script:
             raise EdgeError(script["fail"], "as it was told", file="a.ply", hints=("hold still",))
         return pb.Inspection(kind="points", format="ply", points=script.get("points", 7), warnings=["sparse"])
+
+
+class ZipMaking(Making):
+    """The same for captures that were really uploaded, which are zips: the script is the caller's."""
+
+    def __init__(self, store: Store, script: Mapping[str, Any]) -> None:
+        super().__init__(store)
+        self._script = script
+
+    def reconstruct(
+        self, archive: Path, request: ReconstructionRequest, scratch: Path, checkpoint: Path, report: Report
+    ) -> pb.Finished:
+        return super().reconstruct(self._scripted(archive), request, scratch, checkpoint, report)
+
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
+        return super().inspect(self._scripted(archive), scratch, box, tick)
+
+    def _scripted(self, archive: Path) -> Path:
+        script = archive.with_suffix(".json")
+        script.write_text(json.dumps(dict(self._script)))
+        return script

@@ -1,0 +1,42 @@
+"""Make a capture of points that are in memory, checked as those of a file are."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.clouds.cloud import capture_of_cloud
+from capture2vr.edge.clouds.colours import rgb8
+from capture2vr.edge.errors import CaptureError
+
+_NAME = "the array"  # in errors, where the name of a file would be
+
+
+def capture_of_points(xyz: ArrayLike, rgb: ArrayLike | None = None) -> Capture:
+    """Return a capture of kind "points".
+
+    xyz  (N,3) positions in any unit
+    rgb  (N,3) sRGB, bytes or floats in [0,1]; None: without colours
+
+    Raises CaptureError for arrays of another shape, for too few or too many points, for points on a line, and where
+    more than a tenth of them are not finite; fewer are dropped with a warning.
+    """
+    points = triples(xyz, "points")
+    colours = None if rgb is None else rgb8(triples(rgb, "colours", len(points)))
+    return capture_of_cloud(Cloud(points.astype(np.float64), colours), _NAME, "array")
+
+
+def triples(values: ArrayLike, what: str, count: int | None = None) -> Floats:
+    """Return an array of numbers (N,3), or (count,3). Raises CaptureError CAPTURE_UNREADABLE."""
+    wanted = "(N, 3)" if count is None else f"({count}, 3), one row to a point"
+    try:
+        array = np.asarray(values)
+        numeric = array.dtype.kind in "iuf"
+    except ValueError:  # rows of different lengths
+        array, numeric = np.empty(0), False
+    if not numeric or array.ndim != 2 or array.shape[1] != 3 or count not in (None, len(array)):
+        said = f"has {what} of shape {array.shape} and type {array.dtype}; they must be numbers of the shape {wanted}"
+        raise CaptureError("CAPTURE_UNREADABLE", said, file=_NAME, hints=("pass an array of that shape",))
+    return array

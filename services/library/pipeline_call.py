@@ -1,0 +1,66 @@
+"""The one place where the library calls the pipeline: converts its callers' keywords, and keeps the bundles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.job_resources import JobResources
+from capture2vr.edge.pipeline import PreviewKept
+from capture2vr.edge.pipeline import reconstruct as run
+from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset
+from capture2vr.edge.progress import Progress
+from capture2vr.order.job_fields import ReconstructionFields, options_of
+from capture2vr.storage.bundle import Bundle
+
+
+@dataclass(frozen=True, slots=True)
+class MadeBundles:
+    """What the pipeline made: the preview, the last bundle, which may be the preview, and why that was kept, if so."""
+
+    preview: Bundle
+    last: Bundle
+    kept: PreviewKept | None
+
+
+def run_pipeline(
+    capture: Capture,
+    preset: str,
+    fields: ReconstructionFields,
+    *,
+    resolution: int,
+    device: str,
+    watch: Callable[[Progress], None],
+) -> MadeBundles:
+    """Reconstruct a capture. resolution: cells along the longest side, 0: as the preset has it.
+
+    Raises EdgeError, CaptureError, and BadInput for a keyword's value that does not fit.
+    """
+    options = options_of({**fields, "preset": preset}).completed()
+    chosen = load_preset(options.preset)
+    chosen = replace(chosen, resolution=resolution or chosen.resolution)
+    options = replace(options, cut=options.cut or "auto")
+    steps = run(capture, chosen, options, JobResources(_device(chosen, device)), watch=watch)
+    bundles: list[Bundle] = []
+    kept = None
+    with closing(steps):
+        for step in steps:
+            match step:
+                case Bundle():
+                    # Tiles lie in a folder that is removed with the generator.
+                    bundles.append(replace(step, files=dict(step.files)))
+                case PreviewKept():
+                    kept = step
+                case Progress():
+                    watch(step)
+    preview = next(each for each in reversed(bundles) if each.state == "preview")
+    return MadeBundles(preview, bundles[-1], kept)
+
+
+def _device(preset: Preset, name: str) -> str:
+    """Find the device to train on; PyTorch is not loaded where nothing is trained."""
+    from capture2vr.edge.field.device import find_device
+
+    return find_device(name).name if preset.fit or preset.name == AUTOMATIC else "cpu"

@@ -1,0 +1,86 @@
+"""Typed keyword arguments of Python callers: the options of a job by the names of the HTTP API, each of which may be
+left out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, TypedDict
+
+from capture2vr.errors import BadInput
+from capture2vr.order.asset_names import AssetNames
+from capture2vr.order.edits import NO_EDITS, Edits, InvalidEdits
+from capture2vr.order.job_options import InvalidOption, JobOptions
+from capture2vr.order.option_table import CutName, FillName, VisibilityName
+from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
+
+
+class ReconstructionFields(TypedDict, total=False):
+    """How a capture is reconstructed, beside the preset.
+
+    target     device class whose budget the levels of detail must meet: "quest3", "quest2", "web", "archive"
+    cut        what to keep: "object", "scene", or "auto", the object if the photos were taken around one
+    fill       holes of the mesh to fill: "none", "unseen", "all"; left out: "unseen" for photos, "none" for clouds
+    longest_m  metres between the farthest points of the object, where it was measured
+    box        left, top, right, bottom of the thing in a single photo, as shares of its width and height
+    edits      recipe of what to cut away, what is up and the true size, as in a manifest (docs/edits.md)
+    """
+
+    target: str
+    cut: CutName
+    fill: FillName
+    longest_m: float
+    box: Sequence[float]
+    edits: Mapping[str, Any]
+
+
+class JobFields(ReconstructionFields, total=False):
+    """A job of a gateway: how the capture is reconstructed, and as what it is published.
+
+    preset       a name from `capture2vr presets`; left out: the gateway's default
+    label        a name for people; left out: the asset key
+    description  some lines about the asset; labels: its search words
+    collection   the one that lists the asset
+    visibility   who may read the asset besides its tenant
+    """
+
+    preset: str
+    label: str
+    description: str
+    labels: Sequence[str]
+    collection: str
+    visibility: VisibilityName
+
+
+def options_of(fields: JobFields) -> JobOptions:
+    """Convert keyword arguments to the options of a job. Raises BadInput for a value that does not fit."""
+    try:
+        return JobOptions(
+            preset=fields.get("preset", ""),
+            target=fields.get("target", ""),
+            cut=fields.get("cut", ""),
+            fill=fields.get("fill", ""),
+            longest_m=fields.get("longest_m"),
+            box=box_of(fields.get("box")),
+            edits=_edits_of(fields.get("edits")),
+            names=AssetNames(fields.get("label", ""), fields.get("description", ""), tuple(fields.get("labels", ()))),
+            collection=fields.get("collection", ""),
+            visibility=fields.get("visibility", ""),
+        ).checked()
+    except InvalidOption as error:
+        raise BadInput(str(error)) from None
+
+
+def box_of(values: Sequence[float] | None) -> PhotoBox | None:
+    """Convert left, top, right, bottom; None: no rectangle. Raises BadInput."""
+    try:
+        return None if values is None else PhotoBox.of(values)
+    except InvalidBox as error:
+        raise BadInput(f"box: {error} ({HOW})") from None
+
+
+def _edits_of(recipe: Mapping[str, Any] | None) -> Edits:
+    try:
+        return NO_EDITS if recipe is None else Edits.parse(json.dumps(dict(recipe)))
+    except (InvalidEdits, TypeError) as error:
+        raise BadInput(f"edits: {error} (docs/edits.md describes a recipe)") from None

@@ -1,0 +1,135 @@
+"""`Client` against a real gateway with a real worker's server: its examples, and what goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from anyio.from_thread import start_blocking_portal
+
+import capture2vr
+from capture2vr.client import client as client_module
+from capture2vr.client.client import Client
+from capture2vr.client.nouns import UploadProgress
+from capture2vr.errors import BadInput, Capture2vrError, GatewayError, JobFailed, VerificationError
+from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import list_all
+from tests.support.clouds import sphere_points
+from tests.support.doctests import run_examples
+from tests.support.in_process_gateway import gateway, worker
+from tests.support.scripted_work import ZipMaking
+
+
+@dataclass
+class Served:
+    """A gateway with a worker, whose script a test may change."""
+
+    url: str
+    store: LocalStore
+    script: dict[str, Any] = field(default_factory=dict)
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    for variable in ("XDG_STATE_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(variable, str(tmp_path / variable))
+    monkeypatch.delenv("CAPTURE2VR_KEY", raising=False)
+    store, script = LocalStore(tmp_path / "objects"), dict[str, Any]()
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(worker(ZipMaking(store, script), tmp_path / "scratch")) as port,
+        portal.wrap_async_context_manager(gateway(tmp_path / "data", store, port)) as http,
+    ):
+        yield Served(str(http.base_url), store, script)
+
+
+@pytest.fixture
+def cloud(tmp_path: Path) -> Path:
+    """A folder with the file of a cloud."""
+    folder = tmp_path / "captures"
+    folder.mkdir()
+    np.save(folder / "sphere.npy", sphere_points(600))
+    return folder
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_docstrings(served: Served, cloud: Path) -> None:
+    with Client(served.url) as client:
+        capture = client.upload(cloud / "sphere.npy")
+        job = client.wait(client.start(capture, "sphere"))
+        job = client.wait(client.start(capture, "ball", label="A ball"))
+        names = {"client": client, "gateway": served, "folder": cloud, "capture": capture, "job": job}
+        assert run_examples(client_module, capture2vr=capture2vr, **names) > 10
+
+
+@pytest.mark.slow
+def test_what_the_callers_hear_of_and_what_goes_wrong(served: Served, cloud: Path, tmp_path: Path) -> None:
+    heard: list[UploadProgress] = []
+    with Client(f"{served.url}/") as client:
+        capture = client.upload(cloud / "sphere.npy", progress=heard.append)
+        assert (capture.kind, capture.files) == ("points", {"sphere.npy": "ok"})
+        assert [each.stage for each in heard[:1]] == ["UPLOADING"]
+        assert heard[-1].fraction == 1.0
+        with pytest.raises(GatewayError, match="there is no preset 'magic'") as refused:
+            client.start(capture, "sphere", preset="magic")
+        assert (refused.value.code, refused.value.status, refused.value.retryable) == ("PRESET_UNKNOWN", 422, False)
+        assert refused.value.hints
+
+        events = list(client.follow(client.start(capture, "sphere", labels=["round"])))
+        assert [each.published for each in events if each.published][:2] == ["preview", "refined"]
+        assert [each.fraction for each in events] == sorted(each.fraction for each in events)
+        assert any("distance" in each.losses for each in events)
+        assert events[-1].state == "SUCCEEDED"
+        assert [each.labels for each in client.assets(label="round")] == [("round",)]
+        assert list(client.assets(label="square")) == []
+
+        served.script["fail"] = "CAPTURE_DEGENERATE"
+        with pytest.raises(JobFailed, match="as it was told") as failed:
+            client.wait(client.start(capture, "flat"))
+        assert failed.value.code == "CAPTURE_DEGENERATE"
+
+        (mesh,) = (name for name in list_all(served.store, "") if "mesh." in name and "refined" in read(served, name))
+        served.store.put(mesh, b"x" * len(served.store.get(mesh)), content_type="application/octet-stream")
+        with pytest.raises(VerificationError) as broken:
+            client.pull("sphere", tmp_path / "out", cache=tmp_path / "empty")
+        assert broken.value.code == "FILE_CHANGED"
+        assert not (tmp_path / "out").exists()
+
+
+def read(served: Served, name: str) -> str:
+    return served.store.get(name).decode(errors="replace")
+
+
+def test_a_gateway_that_is_not_there_and_arguments_that_cannot_be_right(tmp_path: Path) -> None:
+    (tmp_path / "a.npy").write_bytes(b"")
+    with Client("http://127.0.0.1:9", key="") as client:
+        for ask in (
+            lambda: client.upload(tmp_path / "a.npy"),
+            lambda: client.job("job_1"),
+            lambda: list(client.jobs()),
+            lambda: list(client.assets()),
+            lambda: client.pull("shoe", tmp_path / "out"),
+        ):
+            with pytest.raises(GatewayError, match=r"http://127\.0\.0\.1:9 cannot be reached") as failure:
+                ask()
+            assert failure.value.retryable
+            assert failure.value.status == 0
+        for wrong in (
+            lambda: client.upload(tmp_path / "b.npy"),
+            lambda: client.start("cap_1", "a/b"),
+            lambda: client.start("cap_1", "a", collection="../b"),
+            lambda: client.job("../assets/shoe"),
+            lambda: client.start("", "shoe"),
+            lambda: client.pull("../shoe", tmp_path / "out"),
+        ):
+            with pytest.raises(BadInput) as refused:
+                wrong()
+            assert not isinstance(refused.value, GatewayError)
+    with pytest.raises(Capture2vrError, match="is not an access key"):
+        Client(key="c2v_ä")
+    with pytest.raises(GatewayError, match="cannot be reached"):
+        Client("http://[")
