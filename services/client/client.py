@@ -158,7 +158,7 @@ class Client:
         return self._job(job, "/cancel")
 
     def assets(self, collection: str = DEFAULT_COLLECTION, *, label: str = "") -> Iterator[ListedAsset]:
-        """Yield the assets of a collection, sorted by key. label: only those with this search word
+        """Yield the assets of a collection, sorted by key. label: a part of theirs, or one of their search words
 
         >>> "sphere" in {each.key for each in client.assets()}
         True

@@ -92,7 +92,7 @@ class JobProgress:
             losses=dict(event.get("losses") or {}),
             elapsed_s=float(event.get("elapsed_s") or 0.0),
             eta_s=float(event.get("eta_s") or 0.0),
-            published=str((event.get("asset") or {}).get("state", "")),
+            published="" if "links" in event else str((event.get("asset") or {}).get("state", "")),
         )
 
 

@@ -118,6 +118,7 @@ def _read_ply(content: bytes) -> Mesh:
     from trimesh.visual import ColorVisuals
 
     read = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False)
-    is_coloured = isinstance(read.visual, ColorVisuals) and read.visual.kind == "vertex"
-    rgb = np.asarray(read.visual.vertex_colors)[:, :3] if is_coloured else None
+    visual = read.visual
+    is_coloured = isinstance(visual, ColorVisuals) and visual.kind == "vertex"
+    rgb = np.asarray(visual.vertex_colors)[:, :3] if is_coloured else None
     return Mesh(np.asarray(read.vertices, np.float64), np.asarray(read.faces, np.int64), rgb)
