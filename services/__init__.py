@@ -88,8 +88,17 @@ if not TYPE_CHECKING:  # for a type checker, any name would be one
         """Load a public name when it is first used (PEP 562)."""
         if name not in _HOMES:
             raise AttributeError(f"module 'capture2vr' has no attribute '{name}'")
-        value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+        try:
+            value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+        except ModuleNotFoundError as error:
+            raise _without(error, name) from None
         return value
+
+    def _without(error: ModuleNotFoundError, name: str) -> ModuleNotFoundError:
+        """Return an error that says what to install for a public name."""
+        extra = "storage" if ".client." in _HOMES[name] else "edge"
+        what = f"capture2vr.{name} needs {error.name}: pip install 'capture2vr[{extra}]'"
+        return ModuleNotFoundError(what, name=error.name)
 
 
 def __dir__() -> list[str]:

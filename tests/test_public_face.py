@@ -65,6 +65,21 @@ def test_type_checkers_and_the_interpreter_are_told_the_same() -> None:
     assert {"__version__", *(name for names in told.values() for name in names)} == set(capture2vr.__all__)
 
 
+def test_who_has_no_numpy_is_told_what_to_install_and_has_the_client() -> None:
+    code = """
+import sys
+sys.modules |= dict.fromkeys(("numpy", "torch", "boto3", "cryptography"))
+import capture2vr
+print(capture2vr.Client.__name__, capture2vr.CaptureError.__name__)
+try:
+    capture2vr.mesh_from_points
+except ImportError as error:
+    print(error)
+"""
+    told = _python(code, env={"PYTHONPATH": str(ROOT)}).splitlines()
+    assert told == ["Client CaptureError", "capture2vr.mesh_from_points needs numpy: pip install 'capture2vr[edge]'"]
+
+
 def test_all_errors_are_one_tree() -> None:
     errors = [each for each in map(capture2vr.__getattribute__, capture2vr.__all__) if isinstance(each, type)]
     errors = [each for each in errors if issubclass(each, BaseException)]

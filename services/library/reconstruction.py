@@ -118,7 +118,7 @@ def _read_ply(content: bytes) -> Mesh:
     from trimesh.visual import ColorVisuals
 
     read = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False)
-    visual = read.visual
-    is_coloured = isinstance(visual, ColorVisuals) and visual.kind == "vertex"
-    rgb = np.asarray(visual.vertex_colors)[:, :3] if is_coloured else None
+    visual, rgb = read.visual, None
+    if isinstance(visual, ColorVisuals) and visual.kind == "vertex":
+        rgb = np.asarray(visual.vertex_colors, np.uint8)[:, :3]
     return Mesh(np.asarray(read.vertices, np.float64), np.asarray(read.faces, np.int64), rgb)
