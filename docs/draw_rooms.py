@@ -155,7 +155,7 @@ def floors(arrows: Arrows) -> dict[Room, int]:
 
 BOX_W, BOX_H, GAP_X, GAP_Y = 118, 34, 14, 40
 MARGIN, TITLE_H = 24, 34
-COLUMNS = ("web", "gateway", "edge", "storage")  # and the command line above them all
+COLUMNS = ("web", "gateway", "client", "library", "edge", "storage")  # and the command line above them all
 WIRES = ((("web", "shared"), ("gateway", "routes"), "HTTP"), (("gateway", "workers"), ("edge", "worker"), "gRPC"))
 STYLE = """
 text { font: 13px system-ui, sans-serif; fill: #1c2530 }

@@ -38,10 +38,10 @@ def run_pipeline(
 
     Raises EdgeError, CaptureError, and BadInput for a keyword's value that does not fit.
     """
-    options = options_of({**fields, "preset": preset}).completed()
-    chosen = load_preset(options.preset)
+    said = options_of({**fields, "preset": "" if preset == AUTOMATIC else preset})
+    chosen = load_preset(said.completed().preset)
     chosen = replace(chosen, resolution=resolution or chosen.resolution)
-    options = replace(options, cut=options.cut or "auto")
+    options = replace(said, cut=said.cut or said.edits.cut or "auto", preset=chosen.name).completed()
     steps = run(capture, chosen, options, JobResources(_device(chosen, device)), watch=watch)
     bundles: list[Bundle] = []
     kept = None
