@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
+from typing import cast
 
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.job_resources import JobResources
@@ -12,7 +13,7 @@ from capture2vr.edge.pipeline import PreviewKept
 from capture2vr.edge.pipeline import reconstruct as run
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset
 from capture2vr.edge.progress import Progress
-from capture2vr.order.job_fields import ReconstructionFields, options_of
+from capture2vr.order.job_fields import JobFields, ReconstructionFields, options_of
 from capture2vr.storage.bundle import Bundle
 
 
@@ -38,7 +39,8 @@ def run_pipeline(
 
     Raises EdgeError, CaptureError, and BadInput for a keyword's value that does not fit.
     """
-    said = options_of({**fields, "preset": "" if preset == AUTOMATIC else preset})
+    said = options_of(cast(JobFields, fields))  # the fields that only a gateway knows are left out
+    said = replace(said, preset="" if preset == AUTOMATIC else preset)
     chosen = load_preset(said.completed().preset)
     chosen = replace(chosen, resolution=resolution or chosen.resolution)
     options = replace(said, cut=said.cut or said.edits.cut or "auto", preset=chosen.name).completed()
