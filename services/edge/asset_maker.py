@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from capture2vr.edge.arrays import DistanceFn, Floats, part_of
-from capture2vr.edge.asset.assemble import ColouredLevels, assemble_bundle, colour_levels
+from capture2vr.edge.asset.assemble import ColouredLevels, Edition, assemble_bundle, colour_levels
 from capture2vr.edge.asset.manifest import AssetSubject, MeasuredSurface
 from capture2vr.edge.asset.photo_check import (
     check_surface_with_photos,
@@ -100,19 +100,8 @@ class AssetMaker:
         warnings: tuple[str, ...] = (),
     ) -> Iterator[Progress | Bundle]:
         """Yield the bundle of a surface whose levels of detail are made, as `assemble_bundle`."""
-        return assemble_bundle(
-            surface,
-            levels,
-            subject=self.subject,
-            state=state,
-            quality=quality,
-            warnings=warnings,
-            clock=self.clock,
-            bar=self.bar,
-            last=last,
-            encode=self.resources.encode,
-            device=self.resources.device,
-        )
+        edition = Edition(state, quality, last, warnings)
+        return assemble_bundle(surface, levels, edition, self.subject, self.clock, self.bar, self.resources)
 
 
 def _refuse_empty(mesh: Mesh, near: Floats, resolution: int) -> None:

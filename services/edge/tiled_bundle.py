@@ -21,7 +21,7 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.points.nouns import UnitFrame
 from capture2vr.edge.progress import Progress
 from capture2vr.edge.tiles.folder import tiles_folder
-from capture2vr.edge.tiles.scene import TiledScene, reconstruct_tiles
+from capture2vr.edge.tiles.scene import LargeScene, TiledScene, reconstruct_tiles
 from capture2vr.storage.bundle import Bundle, FilesOnDisk
 
 
@@ -37,17 +37,8 @@ def tiled_bundle(
     with ExitStack() as kept:
         checkpoint = resources.checkpoint
         folder = tiles_folder(checkpoint) if checkpoint else Path(kept.enter_context(TemporaryDirectory()))
-        scene = yield from reconstruct_tiles(
-            subject.colours,
-            to_asset,
-            subject.preset,
-            subject.target,
-            folder,
-            maker.clock,
-            maker.bar,
-            encode=resources.encode,
-            engine=resources.engine,
-        )
+        large = LargeScene(subject.colours, to_asset, subject.preset, subject.target)
+        scene = yield from reconstruct_tiles(large, folder, maker.clock, maker.bar, resources)
         whole = _whole_scene(scene, to_asset, subject.unit)
         cells = round(float(np.ptp(scene.mesh.vertices, axis=0).max()) / scene.grid.cell)
         made = MeasuredSurface(FilledMesh.unfilled(whole), cells, certify(distance, whole, subject.evidence))

@@ -36,7 +36,6 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
     status     HTTP status
     code       stable, upper case, for programs: CAPTURE_UNKNOWN
     detail     for people: what is wrong with this request, with the numbers; never a path or a secret of the server
-    title      for people: the kind of problem; default: the status' phrase
     retryable  whether the same request may succeed later
     stage      stage of the job in which it happened, or ""
     file       file of the capture that it concerns, or ""
@@ -50,7 +49,6 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
         code: str,
         detail: str,
         *,
-        title: str = "",
         retryable: bool = False,
         stage: str = "",
         file: str = "",
@@ -61,12 +59,22 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
         self.status = status
         self.code = code
         self.detail = detail
-        self.title = title or HTTPStatus(status).phrase
+        self._title = ""
         self.retryable = retryable
         self.stage = stage
         self.file = file
         self.hints = hints or (_TRY_AGAIN if retryable else ())
         self.headers = headers or {}
+
+    def titled(self, title: str) -> Problem:
+        """Name the kind of problem for people, where the status' phrase says too little; return it."""
+        self._title = title
+        return self
+
+    @property
+    def title(self) -> str:
+        """The kind of problem for people: the status' phrase, unless it was named."""
+        return self._title or HTTPStatus(self.status).phrase
 
     def document(self) -> dict[str, Any]:
         """Return the problem as JSON; `stage` and `file` only where they are set."""

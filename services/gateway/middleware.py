@@ -12,6 +12,7 @@ import re
 import time
 import uuid
 from dataclasses import dataclass, field
+from functools import partial
 from urllib.parse import unquote
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -55,6 +56,21 @@ class _Exchange:
     has_body: bool = False  # whether all of the body has been received
     refusal: Problem | None = None  # of the body
 
+    async def receive(self, receive: Receive) -> Message:
+        """Receive a part of the body. Raises Problem where it does not come in time, or is too large."""
+        try:
+            async with asyncio.timeout(None if self.has_body else self.silence_s):
+                message = await receive()
+        except TimeoutError:
+            self.refusal = _silent(self.silence_s)
+            raise self.refusal from None
+        self.received += len(message.get("body", b""))
+        self.has_body = not message.get("more_body", False)
+        if self.received > self.limit:
+            self.refusal = _too_large(self.limit)
+            raise self.refusal
+        return message
+
 
 class RequestMiddleware:
     """The outermost layer of the app: adds ids and headers, limits bodies, counts and logs, answers all exceptions."""
@@ -83,38 +99,12 @@ class RequestMiddleware:
         is_upload = _UPLOADS.fullmatch(scope["path"]) is not None
         exchange = _Exchange(self._limit(is_upload), _UPLOAD_SILENCE_S if is_upload else _SILENCE_S)
 
-        async def receive_counted() -> Message:
-            try:
-                async with asyncio.timeout(None if exchange.has_body else exchange.silence_s):
-                    message = await receive()
-            except TimeoutError:
-                exchange.refusal = _silent(exchange.silence_s)
-                raise exchange.refusal from None
-            exchange.received += len(message.get("body", b""))
-            exchange.has_body = not message.get("more_body", False)
-            if exchange.received > exchange.limit:
-                exchange.refusal = _too_large(exchange.limit)
-                raise exchange.refusal
-            return message
-
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 exchange.status = message["status"]
                 await gateway.records.audit.record(scope, identity, exchange.status)
                 headers_out = MutableHeaders(scope=message)
-                headers_out.setdefault("X-Content-Type-Options", "nosniff")
-                headers_out.setdefault("Referrer-Policy", "no-referrer")
-                headers_out.setdefault("X-Request-ID", identity)
-                headers_out.setdefault("Permissions-Policy", browser_permissions.ANY_PAGE)
-                headers_out.setdefault("Cross-Origin-Opener-Policy", "same-origin")
-                # What any origin's pages may read, they may also show: the other answers stay in this site.
-                shared = headers_out.get("access-control-allow-origin") == "*"
-                headers_out.setdefault("Cross-Origin-Resource-Policy", "cross-origin" if shared else "same-origin")
-                if rate := scope.get("state", {}).get("rate_limit"):
-                    for name, value in rate.headers.items():
-                        headers_out.setdefault(name, value)
-                if self._has_tls or scope["scheme"] == "https":
-                    headers_out.setdefault("Strict-Transport-Security", _HSTS)
+                _add_headers(headers_out, scope, identity, has_tls=self._has_tls)
                 exchange.streamed = headers_out.get("content-type", "").startswith(_STREAM)
             await send(message)
 
@@ -131,7 +121,7 @@ class RequestMiddleware:
             gateway.access.limits.spend_address(client[0] if client else "")
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
-            await self._app(scope, receive_counted, send_unless_refused)
+            await self._app(scope, partial(exchange.receive, receive), send_unless_refused)
             if exchange.refusal and not exchange.status:
                 raise exchange.refusal
         except Problem as problem:
@@ -148,6 +138,23 @@ class RequestMiddleware:
 
     def _limit(self, is_upload: bool) -> int:
         return self._max_upload_bytes + _FORM_BYTES if is_upload else _JSON_BYTES
+
+
+def _add_headers(headers: MutableHeaders, scope: Scope, identity: str, *, has_tls: bool) -> None:
+    """Add what every answer has, where it does not say otherwise: what browsers may do with it, id, limits of rates."""
+    headers.setdefault("X-Content-Type-Options", "nosniff")
+    headers.setdefault("Referrer-Policy", "no-referrer")
+    headers.setdefault("X-Request-ID", identity)
+    headers.setdefault("Permissions-Policy", browser_permissions.ANY_PAGE)
+    headers.setdefault("Cross-Origin-Opener-Policy", "same-origin")
+    # What any origin's pages may read, they may also show: the other answers stay in this site.
+    shared = headers.get("access-control-allow-origin") == "*"
+    headers.setdefault("Cross-Origin-Resource-Policy", "cross-origin" if shared else "same-origin")
+    if rate := scope.get("state", {}).get("rate_limit"):
+        for name, value in rate.headers.items():
+            headers.setdefault(name, value)
+    if has_tls or scope["scheme"] == "https":
+        headers.setdefault("Strict-Transport-Security", _HSTS)
 
 
 def _count(gateway: Gateway, scope: Scope, exchange: _Exchange) -> None:

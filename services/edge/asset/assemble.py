@@ -16,6 +16,7 @@ from capture2vr.edge.asset.splat_file import splat_file
 from capture2vr.edge.asset.target import measure_cost, require_budget
 from capture2vr.edge.export.ktx2 import EncodeKtx2, Ktx2Error
 from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.job_resources import CPU_ALONE, JobResources
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.progress import Bar, Clock, Progress
 from capture2vr.edge.texture.nearest_colour import transfer_colours
@@ -35,6 +36,20 @@ class ColouredLevels:
     full: Mesh
     to_asset: Floats
     levels: tuple[Mesh, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Edition:
+    """Which of a job's bundles one is, and what its manifest says besides the mesh.
+
+    last  whether it is the job's last one. Textures, animation, USDZ, points, cameras are made only then; they would
+          delay the preview
+    """
+
+    state: State
+    quality: Mapping[str, Any]
+    last: bool
+    warnings: tuple[str, ...] = ()
 
 
 def colour_levels(
@@ -58,27 +73,21 @@ def colour_levels(
 def assemble_bundle(
     surface: MeasuredSurface,
     coloured: ColouredLevels,
-    *,
+    edition: Edition,
     subject: AssetSubject,
-    state: State,
-    quality: Mapping[str, Any],
-    warnings: tuple[str, ...] = (),
     clock: Clock,
     bar: Bar,
-    last: bool,
-    encode: EncodeKtx2 | None = None,
-    device: str = "cpu",
+    resources: JobResources = CPU_ALONE,
 ) -> Iterator[Progress | Bundle]:
     """Yield the bundle of a surface whose levels of detail are made: files, preview images, manifest.
 
-    last    whether this is the job's last bundle. Textures, animation, USDZ, points, cameras are made only then; they
-            would delay the preview
-    encode  encoder of KTX2 textures for a target that wants them; `require_encoder` has checked that it is there
-    device  device that splats are trained on, where the preset wants them
+    resources  the encoder of KTX2 textures for a target that wants them, which `require_encoder` has found there; the
+               device that splats are trained on, where the preset wants them
 
     Raises EdgeError BUDGET_UNREACHABLE and Ktx2Error: before a refined bundle, but after a preview is yielded.
     """
     levels, to_asset = coloured.levels, coloured.to_asset
+    state, last = edition.state, edition.last
     assets: Sequence[Mesh | TexturedMesh] = levels
     texture_warnings: tuple[str, ...] = ()
     failed = None
@@ -87,13 +96,13 @@ def assemble_bundle(
         with clock("TEXTURING"):
             end = _TEXTURES_END if subject.preset.splat_steps else 1
             rest = part_of(bar.tick("TEXTURING"), _LODS_SHARE, end)
-            assets, texture_warnings, failed = _try_textures(coloured, subject, state, encode, rest)
+            assets, texture_warnings, failed = _try_textures(coloured, subject, state, resources.encode, rest)
     splats: dict[str, bytes] = {}
     if last and subject.preset.splat_steps:
         yield bar.advance("TEXTURING", _TEXTURES_END, "splats, trained on the photos")
         with clock("TEXTURING"):
             rest = part_of(bar.tick("TEXTURING"), _TEXTURES_END, 1)
-            splats, splat_warnings = splat_file(assets[0], subject, to_asset, device, rest)
+            splats, splat_warnings = splat_file(assets[0], subject, to_asset, resources.device, rest)
             texture_warnings += splat_warnings
     yield bar.begin("PACKING", "files and preview images")
     with clock("PACKING"):
@@ -105,15 +114,11 @@ def assemble_bundle(
         files["mesh.ply"] = ply_bytes(
             coloured.full, filled=surface.surface.filled_vertices if surface.surface.filled.any() else None
         )
+        quality, private = edition.quality, dict[str, bytes]()
         if last:
             files |= capture_files(subject.colours, to_asset)
-        private: dict[str, bytes] = {}
-        if last and surface.check.surface:
-            likeness = check_textures_with_photos(assets[0], surface.check, subject.colours, to_asset)
-            figures = figures_with_textures(surface.check, likeness)
-            quality = {**quality, "photos": asdict(figures) if figures else None}
-            private = marked_pictures(surface.check, likeness)
-        private |= pictures_of_cut(subject.colours, to_asset) if last else {}
+            photos, private = _beside_photos(assets[0], surface, subject, to_asset)
+            quality = {**quality, **photos}
     manifest = build_manifest(
         subject,
         quality=quality,
@@ -121,7 +126,7 @@ def assemble_bundle(
         finest=levels[0],
         to_asset=to_asset,
         seconds=clock.seconds,
-        warnings=(*warnings, *surface.warnings(), *texture_warnings),
+        warnings=(*edition.warnings, *surface.warnings(), *texture_warnings),
     )
     if state == "refined":
         require_budget(subject.target, costs)
@@ -132,6 +137,18 @@ def assemble_bundle(
     if failed:
         raise failed
     require_budget(subject.target, costs)
+
+
+def _beside_photos(
+    asset: Mesh | TexturedMesh, surface: MeasuredSurface, subject: AssetSubject, to_asset: Floats
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Compare the finest level with held-out photos: the quality's entry `photos`, and pictures for the owner alone."""
+    cut = pictures_of_cut(subject.colours, to_asset)
+    if not surface.check.surface:
+        return {}, cut
+    likeness = check_textures_with_photos(asset, surface.check, subject.colours, to_asset)
+    figures = figures_with_textures(surface.check, likeness)
+    return {"photos": asdict(figures) if figures else None}, {**marked_pictures(surface.check, likeness), **cut}
 
 
 def _try_textures(

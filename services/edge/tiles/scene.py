@@ -25,10 +25,10 @@ from capture2vr.edge.arrays import Floats, Tick, part_of
 from capture2vr.edge.asset.photo_check import posed_picture
 from capture2vr.edge.asset.target import Target
 from capture2vr.edge.capture.nouns import Cloud, CloudParts
-from capture2vr.edge.engine.nouns import Engine, OpenEngine
+from capture2vr.edge.engine.nouns import Engine
 from capture2vr.edge.errors import EdgeError
-from capture2vr.edge.export.ktx2 import EncodeKtx2
 from capture2vr.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
+from capture2vr.edge.job_resources import CPU_ALONE, JobResources
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.spacing import point_spacing
 from capture2vr.edge.points.nouns import Points
@@ -85,40 +85,41 @@ class TiledScene:
         return tileset_json(self.root)
 
 
-def reconstruct_tiles(
-    points: Points,
-    to_asset: Floats,
-    preset: Preset,
-    target: Target,
-    folder: Path,
-    clock: Clock,
-    bar: Bar,
-    *,
-    encode: EncodeKtx2 | None = None,
-    engine: OpenEngine | None = None,
-    side: int = SIDE,
-) -> Generator[Progress, None, TiledScene]:
-    """Mesh all points of a capture tile by tile, and make the levels of detail; to_asset (4,4) from the capture frame.
+@dataclass(frozen=True, slots=True)
+class LargeScene:
+    """A capture that is made tile by tile: its points, (4,4) from their frame to the asset frame, and for what."""
 
-    folder  holds what is finished; the caller removes it once the result is published
-    engine  works at tiles side by side; None: one after the other, in this process
-    side    cells along a side of a tile
+    points: Points
+    to_asset: Floats
+    preset: Preset
+    target: Target
+
+
+def reconstruct_tiles(
+    scene: LargeScene, folder: Path, clock: Clock, bar: Bar, resources: JobResources = CPU_ALONE, *, side: int = SIDE
+) -> Generator[Progress, None, TiledScene]:
+    """Mesh all points of a capture tile by tile, and make the levels of detail.
+
+    folder     holds what is finished; the caller removes it once the result is published
+    resources  the engine that works at tiles side by side, and the encoder of textures
+    side       cells along a side of a tile
     Raises EdgeError TILE_FAILED, which names the tile, SCENE_TOO_LARGE, EXTRACTION_EMPTY, ENGINE_LOST; Cancelled as
     `bar` does.
     """
+    points, to_asset, target = scene.points, scene.to_asset, scene.target
     parts = points.whole or CloudParts(len(points), lambda: iter((Cloud(points.xyz, points.rgb),)))
     files = SceneFolder(folder)
     yield bar.begin("FITTING", f"{parts.count:,} points")
     with clock("FITTING"):
         tick = bar.tick("FITTING")
         low, high = bounds_of(parts, to_asset, part_of(tick, 0, 0.3))
-        grid = choose_grid(points, parts.count, to_asset, low, high, preset, side)
+        grid = choose_grid(points, parts.count, to_asset, low, high, scene.preset, side)
         files.begin(_fingerprint(points, parts.count, to_asset, grid, target))
         tiles = _sorted_tiles(parts, points, to_asset, grid, files, tick)
         noise = noise_of_tiles(files, tiles)
     views = TileViews([posed_picture(view, to_asset) for view in points.scene_views or points.texture_views])
-    levels = LevelFiles(files, grid, views, target, encode if target.ktx2 else None)
-    with engine() if engine else nullcontext() as running:
+    levels = LevelFiles(files, grid, views, target, resources.encode if target.ktx2 else None)
+    with resources.engine() if resources.engine else nullcontext() as running:
         yield bar.begin("EXTRACTING", f"{len(tiles):,} tiles of {grid.sides.max() * grid.cell:.2f} m")
         with clock("EXTRACTING"):
             yield from run_parts(running, tiles, _mesh_work(files, grid, noise), Span(bar, "EXTRACTING"))

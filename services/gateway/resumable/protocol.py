@@ -71,7 +71,7 @@ class Checksum:
         if digest != self.digest:
             detail = f"the body's {self.algorithm} is not the one in Upload-Checksum: nothing of it was kept"
             title = "Checksum Mismatch"
-            raise Problem(_CHECKSUM_MISMATCH, "UPLOAD_CHECKSUM", detail, title=title, retryable=True)
+            raise Problem(_CHECKSUM_MISMATCH, "UPLOAD_CHECKSUM", detail, retryable=True).titled(title)
 
 
 def require_version(headers: Headers) -> None:

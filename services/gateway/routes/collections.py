@@ -12,7 +12,7 @@ from itertools import chain, islice
 from typing import Annotated, Literal, TypeVar
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from pydantic import AwareDatetime, BaseModel
+from pydantic import AwareDatetime, BaseModel, Field
 
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import GatewayOf, gateway_of
@@ -98,6 +98,24 @@ class PublicKeyPage(BaseModel):
     keys: list[PublicKeyView]
 
 
+class AssetSearch(BaseModel):
+    """What a search in a collection asks for, in the query of its URL."""
+
+    label: str = Field("", max_length=200, description="Part of the label, or one of the labels; case is ignored.")
+    state: Literal["", "preview", "refined"] = Field("", description="Only assets in this state.")
+    since: AwareDatetime | None = Field(None, description="Only assets that changed at this time or later.")
+    until: AwareDatetime | None = Field(None, description="Only assets that changed at this time or earlier.")
+    min_bytes: int | None = Field(None, ge=0, description="Only assets of this size or more, all files.")
+    max_bytes: int | None = Field(None, ge=0, description="Only assets of this size or less, all files.")
+    after: str = Field("", max_length=100, description="`next` of the previous page; empty: first page.")
+    limit: int = Field(20, ge=1, le=100)
+
+    @property
+    def rows(self) -> RowFilter:
+        """Which rows of the collection are meant."""
+        return RowFilter(self.label, self.state, self.since, self.until, self.min_bytes, self.max_bytes)
+
+
 @router.get(
     "/collections/{name}",
     dependencies=[READS_COLLECTION],
@@ -131,34 +149,19 @@ async def get_collection(name: Name, request: Request) -> Response:
     dependencies=[READS_COLLECTION],
     responses=problems(404, 422, 503),
 )
-async def search_collection(
-    name: Name,
-    request: Request,
-    label: Annotated[
-        str, Query(max_length=200, description="Part of the label, or one of the labels; case is ignored.")
-    ] = "",
-    state: Annotated[Literal["", "preview", "refined"], Query(description="Only assets in this state.")] = "",
-    since: Annotated[AwareDatetime | None, Query(description="Only assets that changed at this time or later.")] = None,
-    until: Annotated[
-        AwareDatetime | None, Query(description="Only assets that changed at this time or earlier.")
-    ] = None,
-    min_bytes: Annotated[int | None, Query(ge=0, description="Only assets of this size or more, all files.")] = None,
-    max_bytes: Annotated[int | None, Query(ge=0, description="Only assets of this size or less, all files.")] = None,
-    after: Annotated[str, Query(max_length=100, description="`next` of the previous page; empty: first page.")] = "",
-    limit: Annotated[int, Query(ge=1, le=100)] = 20,
-) -> RowPage:
+async def search_collection(name: Name, request: Request, search: Annotated[AssetSearch, Query()]) -> RowPage:
     """Search a collection's assets by label, state, date and size, without removed ones. Without any, list all."""
     require_collection(name, "check the name in the URL")
-    if after and not valid_key(after):
+    if search.after and not valid_key(search.after):
         hints = ("use the `next` of the previous page",)
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
-    wanted, load_rows = RowFilter(label, state, since, until, min_bytes, max_bytes), _load_rows_of(request)
+    wanted, load_rows = search.rows, _load_rows_of(request)
 
     def find_matches(index: Index) -> tuple[int, list[Row]]:
-        return index.version, _matching_rows(index, load_rows, wanted, after, limit)
+        return index.version, _matching_rows(index, load_rows, wanted, search.after, search.limit)
 
     version, rows = await _read(request, name, find_matches)
-    last = rows[-1].key if len(rows) == limit else None
+    last = rows[-1].key if len(rows) == search.limit else None
     views = [_row_view(request, row) for row in rows]
     return RowPage(collection=name, version=version, assets=views, next=last)
 

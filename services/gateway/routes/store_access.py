@@ -39,7 +39,7 @@ def store_problems() -> Iterator[None]:
     except CatalogueFault as fault:
         hints = (fault.hint,) if fault.hint else ()
         title = "The catalogue cannot be used"
-        raise Problem(503, fault.code, f"{fault.name}: {fault.message}", title=title, hints=hints) from fault
+        raise Problem(503, fault.code, f"{fault.name}: {fault.message}", hints=hints).titled(title) from fault
     except OSError as error:
         raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
 

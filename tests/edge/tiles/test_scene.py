@@ -27,6 +27,7 @@ from capture2vr.edge.engine.address import open_engine
 from capture2vr.edge.engine.nouns import Engine, Needs, OpenEngine
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.export.tileset import TILESET_FILE
+from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.mesh.edges import border_edges
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.points.nouns import Points
@@ -39,7 +40,7 @@ from capture2vr.edge.tiles.folder import SceneFolder
 from capture2vr.edge.tiles.grid import TileGrid, name_of
 from capture2vr.edge.tiles.level_files import LevelFiles
 from capture2vr.edge.tiles.parts import Span, run_parts
-from capture2vr.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles
+from capture2vr.edge.tiles.scene import TILE_STARTS, LargeScene, TiledScene, choose_grid, reconstruct_tiles
 from capture2vr.edge.tiles.tile_levels import Node, ancestor_level, tile_level
 from capture2vr.edge.tiles.tile_points import bounds_of, sort_into_tiles, thin_tile
 from capture2vr.edge.tiles.tile_views import TileViews
@@ -67,8 +68,8 @@ def run(
     """Make the scene, in tiles of some 100 cells. some: its points; None: the hall"""
     bar = Bar(watch)
     bar.set_range(TILE_STARTS, 0.0, 1.0)
-    parts = (some or points(), np.eye(4), PRESET, NO_TARGET, folder, Clock(), bar)
-    steps = reconstruct_tiles(*parts, engine=engine, side=100)
+    scene = LargeScene(some or points(), np.eye(4), PRESET, NO_TARGET)
+    steps = reconstruct_tiles(scene, folder, Clock(), bar, JobResources(engine=engine), side=100)
     said = []
     while True:
         try:
