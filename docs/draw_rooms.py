@@ -2,7 +2,8 @@
 
 A room is a folder of a service, or files of its top folder that belong together. An arrow runs from a room to one that
 it imports; arrows that follow from others are left out. Numbers are the way of a capture; `WAY` says what happens at
-each. With --check nothing is written, and another picture than the committed one is an error.
+each. With --check nothing is written, and another picture than the committed one is an error; with --count it says how
+many rooms and arrows the picture has, and how many the top level of services/ has.
 """
 
 from __future__ import annotations
@@ -283,8 +284,30 @@ def _number(x: int, y: int, number: int) -> str:
     return f'<circle class="step" cx="{x}" cy="{y}" r="9"/><text class="number" x="{x}" y="{y + 4}">{number}</text>'
 
 
+def counts() -> str:
+    """How many rooms and arrows the picture has, and how many the top level has: folders and files of services/."""
+    drawn = {room: others for room, others in reduced(rooms_and_arrows()).items() if room[1] != SHARED}
+    return "\n".join(
+        f"{name}: {len(arrows)} rooms, {sum(map(len, arrows.values()))} arrows"
+        for name, arrows in (("picture", drawn), ("top level", top_level()))
+    )
+
+
+def top_level() -> dict[str, set[str]]:
+    """Every folder and file directly below services/ that holds Python, with those that it imports."""
+    arrows: dict[str, set[str]] = defaultdict(set)
+    for path in (ROOT / "services").rglob("*.py"):
+        name, *_ = path.relative_to(ROOT / "services").with_suffix("").parts
+        if name != "__init__":
+            arrows[name] |= {module[0] for module in _imports(path) if module} - {name}
+    return arrows
+
+
 def main() -> int:
-    """Write the picture; with --check, exit 1 where the committed one is another."""
+    """Write the picture; with --check, exit 1 where the committed one is another; with --count, count."""
+    if "--count" in sys.argv[1:]:
+        sys.stdout.write(counts() + "\n")
+        return 0
     made = picture()
     if "--check" in sys.argv[1:]:
         if PICTURE.read_text() != made:

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadFileScheduling
 
 from tests.referees.s3.server import S3Server, available, running
+from tests.support.photos.small_pictures import draw_small
 from tests.support.repository import ROOT
-from tests.support.small_pictures import draw_small
 
 _IN_CI = os.environ.get("CI") == "true"
 # What costs seconds to start is started once: Chromium and the whole product, the RADOS Gateway, the SBOM. The pages

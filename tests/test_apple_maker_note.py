@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from capture2vr.order.apple_maker_note import acceleration_note, read_acceleration
-from tests.support.maker_notes import SECRET, apple_note
+from tests.support.photos.maker_notes import SECRET, apple_note
 
 G = st.floats(-1, 1)
 

@@ -17,8 +17,9 @@ from PIL import Image
 
 from capture2vr.cli.up import run_stack
 from tests.edge.jobs.test_inspect_capture import obj_of_materials, ply_of_one_face
-from tests.support import captures, private_pictures
+from tests.support import captures
 from tests.support.patience import HANG_S
+from tests.support.photos import private_pictures
 from tests.support.repository import ROOT
 
 PAGE = ROOT / "docs" / "security.md"

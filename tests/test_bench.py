@@ -17,10 +17,11 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.sampling import area
 from capture2vr.edge.mesh.topology import component_count
 from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
-from tests.bench import ablation, cell, datasets, methods, plots, report, tables, yardstick
+from tests.bench import cell, datasets, methods, plots, report, yardstick
 from tests.bench.__main__ import main as bench_main
 from tests.bench.datasets import LayoutError
 from tests.bench.methods import Settings, Unavailable
+from tests.bench.paper import ablation, tables
 from tests.bench.records import Record, Records, code_version, fingerprint
 from tests.bench.shapes import ROWS, Row
 from tests.support import surfaces

@@ -19,7 +19,7 @@ from capture2vr.edge.export.ply import ply_bytes
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.storage.bundle import Bundle
 from tests.bench import captures
 from tests.bench.borne_out import likeness_of_patches
@@ -231,7 +231,7 @@ def test_patches_of_the_true_surface_look_alike_in_all_photos() -> None:
     photos = [print_from(eye) for eye in ((0.9, 0.1, 1.5), (-0.5, 0.8, 1.5), (-0.4, -0.9, 1.5))]
     places = np.column_stack([np.random.default_rng(1).uniform(-0.3, 0.3, (500, 2)), np.zeros(500)])
     up = np.broadcast_to([0.0, 0.0, 1.0], places.shape)
-    scene = Scene(ground)
+    scene = RaycastingScene(ground)
     assert np.median(likeness_of_patches(places, up, photos, scene)) > 0.9
     assert np.median(likeness_of_patches(places + 0.1 * up, up, photos, scene)) < 0.5
     assert np.isnan(likeness_of_patches(places, -up, photos, scene)).all()  # no photo sees the other side

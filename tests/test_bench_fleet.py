@@ -7,8 +7,8 @@ from statistics import mean
 
 import pytest
 
-from tests.bench.fleet import POOLS, Prices, at_share, capacity, cost_cents, read_samples
-from tests.bench.fleet_model import WAYS, Fleet, Links, Sample, Scaling, Way, simulate
+from tests.bench.load.fleet import POOLS, Prices, at_share, capacity, cost_cents, read_samples
+from tests.bench.load.fleet_model import WAYS, Fleet, Links, Sample, Scaling, Way, simulate
 
 EXACT = Links(phone_up=1e12, wifi=1e12, place_up=1e12, headset_down=1e12, spread=0.0)
 TEN_S = Sample("ten seconds", 1, 1, 1, 1, points_s=4.0, preview_s=5.0, refine_s=1.0)
@@ -21,7 +21,7 @@ def one_pool(per_day: float, workers: int) -> Fleet:
 def test_waiting_is_what_queueing_theory_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """M/D/1 (Pollaczek and Khinchine): with Poisson arrivals, a constant time of service s and a load ρ, the mean wait
     is s ρ / (2 (1 − ρ))."""
-    monkeypatch.setattr("tests.bench.fleet_model._SWING", 0.0)
+    monkeypatch.setattr("tests.bench.load.fleet_model._SWING", 0.0)
     for load in (0.3, 0.6, 0.8):
         looks = [
             look for seed in range(8) for look in simulate(one_pool(load * 8_640, 1), [TEN_S], seed=seed).first_look_s

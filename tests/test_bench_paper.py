@@ -18,11 +18,13 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.paper_field.network_config import NetworkConfig
 from capture2vr.edge.paper_field.networks import network_of
 from tests.bench import __main__ as benches
-from tests.bench import frame_times, heat_maps, paper_delivery, paper_figures, peer_extraction, published
-from tests.bench.heat_maps import Column, View
+from tests.bench import published
 from tests.bench.methods import Settings
-from tests.bench.paper_delivery import Way
-from tests.bench.peer_extraction_child import samples_of
+from tests.bench.paper import frame_times, heat_maps, paper_delivery, paper_figures
+from tests.bench.paper.heat_maps import Column, View
+from tests.bench.paper.paper_delivery import Way
+from tests.bench.peers import peer_extraction
+from tests.bench.peers.peer_extraction_child import samples_of
 from tests.bench.published import BATCH, Cell, keep_mesh
 from tests.bench.records import fingerprint
 from tests.bench.shapes import DEFORMED, Row
@@ -299,5 +301,5 @@ def test_the_estimate_falls_only_beyond_the_budget() -> None:
 
 @pytest.mark.parametrize("name", [*benches.BENCHES, *benches.ON_DEMAND])
 def test_every_named_bench_has_a_module(name: str) -> None:
-    module, _ = benches._PAPER.get(name, (name.replace("-", "_"), False))
+    module, _ = benches._MODULES.get(name, (name.replace("-", "_"), False))
     assert importlib.util.find_spec(f"tests.bench.{module}") is not None

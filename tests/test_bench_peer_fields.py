@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from tests.bench import __main__ as benches
-from tests.bench import peer_fields, peer_ops
-from tests.bench.peer_fields_child import GEOUDF_WEIGHTS, LOCAL_WEIGHTS, with_weights
+from tests.bench.peers import peer_fields, peer_ops
+from tests.bench.peers.peer_fields_child import GEOUDF_WEIGHTS, LOCAL_WEIGHTS, with_weights
 from tests.bench.shapes import Row
 from tests.support import surfaces
 

@@ -14,7 +14,8 @@ import pytest
 from capture2vr.edge.field import checkpoint
 from capture2vr.edge.mesh.sampling import area
 from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
-from tests.bench import paper_tables, published
+from tests.bench import published
+from tests.bench.paper import paper_tables
 from tests.bench.published import Cell, cells, run_cell
 from tests.bench.records import Records, record_of
 from tests.bench.shapes import Row

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from tests.bench.trace import depth, table, waterfall
-from tests.support.trace_collector import Span
+from tests.bench.load.trace import depth, table, waterfall
+from tests.support.workers.trace_collector import Span
 
 SPANS = [
     Span("capture2vr-gateway", "receive capture", "t", "a", "root", 100.0, 101.0, failed=False),

@@ -31,14 +31,15 @@ from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.memory import MemoryStore
 from tests.conftest import missing
-from tests.edge.photos.test_learned_matches import problem_of_matches
-from tests.edge.photos.test_structure_from_motion import scene
+from tests.edge.cameras.test_learned_matches import problem_of_matches
+from tests.edge.cameras.test_structure_from_motion import scene
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
-from tests.support import captures, engine_tasks, surfaces
+from tests.support import captures, surfaces
 from tests.support.downloadable import downloadable
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
 from tests.support.strangers import strangers_folder, that_ran
+from tests.support.workers import engine_tasks
 
 XYZ = np.random.default_rng(3).normal(size=(300, 3)) * [0.2, 0.01, 0.3]
 RGB = np.random.default_rng(4).integers(0, 256, (300, 3)).astype(np.uint8)

@@ -19,9 +19,9 @@ from tests.support.gateway_process import running
 from tests.support.in_process_gateway import capture as script_capture
 from tests.support.in_process_gateway import ended, start, until
 from tests.support.patience import PATIENCE_S
-from tests.support.private_pictures import jpeg
+from tests.support.photos.private_pictures import jpeg
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
-from tests.support.trace_collector import TraceCollector, collecting
+from tests.support.workers.trace_collector import TraceCollector, collecting
 
 pytest.importorskip("opentelemetry.sdk")
 
@@ -46,7 +46,7 @@ async def test_a_capture_has_one_trace_from_upload_to_publishing(
             uploaded = answer.json()["capture"]
             script_capture(gateway.store, uploaded, steps=2)
             edge = ServiceProcess(
-                "tests.support.scripted_work_worker",
+                "tests.support.workers.scripted_work_worker",
                 tmp_path / "edge.log",
                 EDGE_PORT=unused_tcp_port,
                 EDGE_SCRATCH=tmp_path / "scratch",

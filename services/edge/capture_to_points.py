@@ -59,7 +59,7 @@ _PHOTO_PREVIEW_SHARE = 0.6  # the same for photos, whose depth images take most 
 
 
 @dataclass(frozen=True, slots=True)
-class CaptureSummary:
+class CaptureFacts:
     """The manifest's facts about a capture: kind, format, number of frames or photos, and each photo's verdict."""
 
     kind: CaptureKind
@@ -68,7 +68,7 @@ class CaptureSummary:
     verdicts: tuple[PhotoVerdict, ...] = ()
 
     @classmethod
-    def of(cls, capture: Capture) -> CaptureSummary:
+    def of(cls, capture: Capture) -> CaptureFacts:
         """Summarise a capture: its kind, format and number of frames or points, for reports."""
         return cls(capture.kind, capture.format, len(capture.frames) or len(capture.photos), capture.verdicts)
 
@@ -78,7 +78,7 @@ class PreparedPoints:
     """Points ready for fitting a field, with a summary of their capture and the seconds that each stage took."""
 
     points: Points
-    source: CaptureSummary
+    source: CaptureFacts
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -106,7 +106,7 @@ def prepare(
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
     bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
-    source = CaptureSummary.of(capture)
+    source = CaptureFacts.of(capture)
     if capture.kind == "photos":
         yield bar.begin("ALIGNING", f"{len(capture.photos)} photos")
         with clock("ALIGNING"):

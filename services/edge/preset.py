@@ -160,16 +160,21 @@ def _value(hint: Any, value: Any, preset: str, key: str) -> Any:
     ):
         return _table(tables, value, preset, key)
     for choice in choices:
-        if isinstance(value, list) and get_origin(choice) is tuple and all(_is_a(each, int) for each in value):
-            return tuple(value)
-        if get_origin(choice) is Literal and value in get_args(choice):
-            return value
-        if choice is float and _is_a(value, int):
-            return float(value)
-        if isinstance(choice, type) and _is_a(value, choice):
-            return value
+        if (converted := _as_type(choice, value)) is not None:
+            return converted
     expected = " or ".join(_type_names(hint))
     raise EdgeError("PRESET_INVALID", f"preset '{preset}': {key} = {value!r} is not {expected}")
+
+
+def _as_type(choice: Any, value: Any) -> Any:
+    """Return a TOML value as one of the types that its field accepts; None where it is of another."""
+    if get_origin(choice) is tuple:
+        return tuple(value) if isinstance(value, list) and all(_is_a(each, int) for each in value) else None
+    if get_origin(choice) is Literal:
+        return value if value in get_args(choice) else None
+    if choice is float and _is_a(value, int):
+        return float(value)
+    return value if isinstance(choice, type) and _is_a(value, choice) else None
 
 
 def _table(kinds: Sequence[type[Any]], values: Mapping[str, Any], preset: str, key: str) -> Any:

@@ -30,7 +30,7 @@ class ForkServer:
     def __init__(self, *program: str) -> None:
         """program: arguments of the interpreter, to which the number of the control socket is added"""
         self._program = program
-        self._server: _Server | None = None
+        self._server: _RunningServer | None = None
         self._lock = threading.Lock()
 
     @classmethod
@@ -60,15 +60,15 @@ class ForkServer:
                 self._server.close()
                 return self._alive().fork()
 
-    def _alive(self) -> _Server:
+    def _alive(self) -> _RunningServer:
         if self._server is None or self._server.has_ended:
             if self._server is not None:
                 self._server.close()
-            self._server = _Server(self._program)
+            self._server = _RunningServer(self._program)
         return self._server
 
 
-class _Server:
+class _RunningServer:
     """A running server, with the socket over which it gets descriptors."""
 
     def __init__(self, program: tuple[str, ...]) -> None:

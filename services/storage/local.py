@@ -213,22 +213,26 @@ class LocalStore:
 
 def _names_in(folder: Path, named: str, prefix: str, after: str) -> Iterator[str]:
     """Yield the names below a folder, whose own name is `named`, as `LocalStore._names` does."""
-    try:
-        with os.scandir(folder) as entries:
-            # A folder's slash is sorted with its name: "a-b" stands before "a/b", and "a0" behind it.
-            found = sorted(
-                f"{named}{entry.name}{'/' if entry.is_dir(follow_symlinks=False) else ''}"
-                for entry in entries
-                if entry.name[0] != "."
-            )
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    for name in found:
+    for name in _listed(folder, named):
         if not name.endswith("/"):
             if name.startswith(prefix) and name > after:
                 yield name
         elif (name.startswith(prefix) or prefix.startswith(name)) and (name > after or after.startswith(name)):
             yield from _names_in(folder / name[len(named) :], name, prefix, after)
+
+
+def _listed(folder: Path, named: str) -> list[str]:
+    """Return what lies in a folder, by the names of objects in their order; a folder's name ends with a slash."""
+    try:
+        with os.scandir(folder) as entries:
+            # A folder's slash is sorted with its name: "a-b" stands before "a/b", and "a0" behind it.
+            return sorted(
+                f"{named}{entry.name}{'/' if entry.is_dir(follow_symlinks=False) else ''}"
+                for entry in entries
+                if entry.name[0] != "."
+            )
+    except (FileNotFoundError, NotADirectoryError):
+        return []
 
 
 def _head(name: str, stat: os.stat_result, meta: _Meta) -> Head:

@@ -57,13 +57,21 @@ ON_DEMAND = {
     "published": "the methods of the literature at their own budget of steps: hours, resumable",
 }
 
-# Modules of tables and figures, and whether one draws several of them.
-_PAPER = {
-    **dict.fromkeys(("table2", "table3", "table4"), ("paper_tables", True)),
-    "table5": ("complexity", False),
-    **dict.fromkeys(("table6", "table7"), ("paper_delivery", True)),
-    **dict.fromkeys(("figure5", "figure6", "figure7", "figure9"), ("paper_figures", True)),
-    "figure8": ("frame_times", False),
+# Modules below tests/bench that are not called as their bench is, and whether one draws several tables or figures.
+_MODULES = {
+    **{name: (f"browser.{name}", False) for name in ("lighthouse", "visit", "walk", "walkthrough")},
+    **{
+        name: (f"load.{name}", False) for name in ("dispatch", "engine", "fleet", "fuzz", "service", "streams", "trace")
+    },
+    "uploads": ("load.uploads", False),
+    **{name: (f"paper.{name}", False) for name in ("ablation", "complexity", "tables")},
+    **dict.fromkeys(("table2", "table3", "table4"), ("paper.paper_tables", True)),
+    "table5": ("paper.complexity", False),
+    **dict.fromkeys(("table6", "table7"), ("paper.paper_delivery", True)),
+    **dict.fromkeys(("figure5", "figure6", "figure7", "figure9"), ("paper.paper_figures", True)),
+    "figure8": ("paper.frame_times", False),
+    "peer-extraction": ("peers.peer_extraction", False),
+    "peer-fields": ("peers.peer_fields", False),
 }
 
 
@@ -85,7 +93,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _run(bench: str, arguments: list[str]) -> None:
-    name, own = _PAPER.get(bench, (bench.replace("-", "_"), False))
+    name, own = _MODULES.get(bench, (bench.replace("-", "_"), False))
     module = importlib.import_module(f"tests.bench.{name}")
     try:
         module.main(arguments, *([bench] if own else []))

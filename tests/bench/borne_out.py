@@ -8,7 +8,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.render.sample_image import bilinear
 
 _SIDE = 7  # samples along a patch
@@ -20,7 +20,9 @@ _VIEWS = 4  # photos that see a patch best, which are compared
 _LIFT = 0.02  # of the thing's size: what hides a place less far before it is the other surface
 
 
-def likeness_of_patches(places: Floats, normals: Floats, pictures: Sequence[PosedPicture], scene: Scene) -> Floats:
+def likeness_of_patches(
+    places: Floats, normals: Floats, pictures: Sequence[PosedPicture], scene: RaycastingScene
+) -> Floats:
     """Normalised cross-correlation (N,) of the photos' patches at places (N,3) with unit normals: the mean over pairs
     of the photos that see each best; NaN where fewer than two see it with contrast.
 

@@ -40,7 +40,7 @@ from capture2vr.edge.preset import load_preset
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.render.photo_comparison import LIKENESS_PX, check_surface, mean_figures, relative_sharpness
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import Scene, pinhole
+from capture2vr.edge.render.rays import RaycastingScene, pinhole
 from capture2vr.edge.render.sample_image import bilinear, shrink_to
 from capture2vr.edge.render.silhouette import LONGEST_PX
 from capture2vr.storage.bundle import Bundle
@@ -253,7 +253,7 @@ class _Outline:
     def __init__(self, known: PhotoSet) -> None:
         assert known.truth is not None
         self._known = known
-        self._scene = Scene(Mesh(np.asarray(known.truth.vertices), np.asarray(known.truth.faces)))
+        self._scene = RaycastingScene(Mesh(np.asarray(known.truth.vertices), np.asarray(known.truth.faces)))
 
     def __call__(self, photo: PosedPicture) -> Bools:
         camera = self._known.intrinsics
@@ -298,7 +298,7 @@ def _shares_of_points(row: Row, bundle: Bundle, frames: Sequence[Frame]) -> dict
         return {**shares, borne_out: None}
     apart = np.flatnonzero((gap > _BORNE_OUT * size) & (gap < _BESIDE * size))
     pictures = [posed_picture(texture_view(frame), np.eye(4)) for frame in frames]
-    scene = Scene(mesh)
+    scene = RaycastingScene(mesh)
     theirs_alike = likeness_of_patches(points[apart], normals[apart], pictures, scene)
     facing = made.normals[nearest[apart]]
     facing *= np.sign(np.einsum("nx,nx->n", facing, normals[apart]))[:, None]

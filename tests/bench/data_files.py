@@ -1,10 +1,12 @@
-"""Files of the test data, for the benches, which name one that is missing in one sentence."""
+"""Where benches find the test data, whose missing files they name in one sentence, and where they keep pictures."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from tests.conftest import data_folder
+
+PICTURES = Path(__file__).parent / "results" / "pictures"  # that the pages of results show
 
 
 class DataMissing(Exception):  # noqa: N818 - it reads as what it is

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from capture2vr.edge.convert.convert_bundle import BundleFolder, convert
 from capture2vr.order.download_formats import FORMATS
-from tests.bench.data_files import data_file
+from tests.bench.data_files import PICTURES, data_file
 from tests.referees.formats import readers
 from tests.referees.formats.readers import Reader, Reading
 
@@ -40,7 +40,6 @@ _PROGRAMS = (
 )
 _RENDER = "glb"  # the format that Blender draws
 _FOR_OTHERS = ("points-ply", "points-laz", "splats-spz", "splats-glb", "colmap", "transforms")
-RESULTS = Path(__file__).with_name("results")
 
 
 def main(arguments: list[str]) -> None:
@@ -95,7 +94,7 @@ def _read_all(reader: Reader, made: dict[str, dict[str, Path]]) -> dict[tuple[st
 
 
 def _draw(files: dict[str, Path]) -> None:
-    pictures = {file: RESULTS / f"formats-{name.replace(' ', '-')}.jpg" for name, file in files.items()}
+    pictures = {file: PICTURES / f"formats-{name.replace(' ', '-')}.jpg" for name, file in files.items()}
     readers.with_blender(list(pictures), pictures)
 
 

@@ -25,7 +25,7 @@ import httpx
 from capture2vr.cli.up import free_port
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.store import list_all
-from tests.support.private_pictures import box, handler
+from tests.support.photos.private_pictures import box, handler
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
 from tests.support.tus import PART, TUS, metadata
 

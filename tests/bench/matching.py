@@ -23,7 +23,7 @@ from capture2vr.edge.capture.nouns import Photo
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.procrustes import procrustes
 from capture2vr.edge.read_capture import read_capture
-from tests.bench.case_table import print_cases
+from tests.bench.paper.case_table import print_cases
 from tests.bench.photo_sets import PhotoSet, fruit, shell
 from tests.bench.texture import cpu_seconds
 

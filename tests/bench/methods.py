@@ -202,7 +202,7 @@ def peer(points: Floats, method: str) -> Made:
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "points.npz", Path(folder) / "mesh.npz"
         np.savez(source, points=points)
-        command = [python, Path(__file__).with_name("peers.py"), method, source, target]
+        command = [python, Path(__file__).with_name("peers") / "peers.py", method, source, target]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             said = done.stderr.strip().splitlines() or [f"ended with {done.returncode}"]

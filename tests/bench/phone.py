@@ -22,8 +22,8 @@ from capture2vr.cli.remote.push import follow, upload
 from capture2vr.cli.up import run_stack
 from tests.bench.data_files import data_file
 from tests.support.chromium import launch
+from tests.support.photos.walkaround import render_walkaround
 from tests.support.screenshots import drawn, stage
-from tests.support.walkaround import render_walkaround
 from tests.web.conftest import PHONE
 
 _SIZE, _PHONE = (1280, 960), (4000, 3000)

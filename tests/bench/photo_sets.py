@@ -21,7 +21,7 @@ from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.fusion.orbit import meeting_point
 from capture2vr.edge.render.posed_picture import PosedPicture
 from tests.bench.data_files import data_file
-from tests.support.walkaround import render_walkaround
+from tests.support.photos.walkaround import render_walkaround
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From a camera's OpenGL axes, and Bundler's, to OpenCV's and back."""

@@ -25,7 +25,7 @@ from capture2vr.edge.mesh.align_to_reference import align_to_surface, measure_ov
 from capture2vr.edge.photos.depth_maps import depth_frames
 from capture2vr.edge.photos.to_depth import to_depth
 from capture2vr.edge.read_capture import read_capture
-from tests.bench.case_table import print_cases
+from tests.bench.paper.case_table import print_cases
 from tests.bench.photo_sets import PhotoSet, film, fruit, shell
 
 CASES = (

@@ -25,11 +25,11 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats, no_tick
 from capture2vr.edge.capture.nouns import Frame
+from tests.bench.data_files import PICTURES
 from tests.bench.scenes import NEAR_M, compare, cpu_seconds, pictures
 from tests.support.flat_walks import FlatWalk, flat_walk
 
 KEPT = Path(__file__).with_name("rgbd_walk.json")
-RESULTS = Path(__file__).with_name("results")
 ROOMS = {500: 4, 2000: 16}
 """Rooms by the number of frames."""
 _SAY_S = 10.0  # between two lines about the progress
@@ -220,7 +220,7 @@ def _measure_tiles(frames: int, state: Path) -> TileFigures:
     to_truth = np.linalg.inv(np.array(refined.manifest["capture_to_asset"]).reshape(4, 4))[:3]
     leaves = sorted((tiles_folder(checkpoint) / "level").glob("0-*.npz"))
     mean, off, coverage = compare(leaves, to_truth, walk.truth)
-    (RESULTS / f"rgbd-walk-{frames}.jpg").write_bytes(pictures(leaves, to_truth))
+    (PICTURES / f"rgbd-walk-{frames}.jpg").write_bytes(pictures(leaves, to_truth))
     entry = refined.manifest["tileset"]
     return TileFigures(
         frames=frames,

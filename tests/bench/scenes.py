@@ -27,11 +27,11 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.sampling import area, sample
 from capture2vr.edge.mesh.topology import compact
 from capture2vr.edge.srgb import to_srgb
+from tests.bench.data_files import PICTURES
 from tests.bench.peak_memory import peak_memory
 from tests.support.flats import ROOM, Flat, flat
 
 KEPT = Path(__file__).with_name("scenes.json")
-RESULTS = Path(__file__).with_name("results")
 SIZES = (1, 4, 16, 64)
 """Millions of points: a room has one."""
 _DEFAULT = (1, 4)
@@ -82,7 +82,7 @@ def main(arguments: list[str]) -> None:
     figures = [kept[each] for each in sorted(kept)]
     print("\n".join(table(figures)))
     if len(figures) > 1:
-        plot(figures, RESULTS / "scenes.png")
+        plot(figures, PICTURES / "scenes.png")
 
 
 def load() -> list[SceneFigures]:
@@ -178,7 +178,7 @@ def _measure(millions: int, state: Path) -> SceneFigures:
     to_truth = _Z_UP.T @ np.linalg.inv(np.array(refined.manifest["capture_to_asset"]).reshape(4, 4))[:3]
     leaves = sorted((tiles_folder(checkpoint) / "level").glob("0-*.npz"))
     mean, off, coverage = compare(leaves, to_truth, truth)
-    (RESULTS / f"scenes-{millions}.jpg").write_bytes(pictures(leaves, to_truth))
+    (PICTURES / f"scenes-{millions}.jpg").write_bytes(pictures(leaves, to_truth))
     entry = refined.manifest["tileset"]
     stored = sum(len(refined.files[file]) for file in refined.files if file.startswith("tile-"))
     shutil.rmtree(folder)

@@ -36,7 +36,7 @@ from capture2vr.edge.single_photo.guess import combine
 from capture2vr.edge.single_photo.network import POINTS, Pixels
 from capture2vr.edge.single_photo.prediction_views import VIEWS, predict_from_views
 from capture2vr.edge.single_photo.weights import load_pixels
-from tests.bench.peer_image import MINUTES, peer
+from tests.bench.peers.peer_image import MINUTES, peer
 from tests.bench.single_photo_training.batches import BATCH, Batch, held_out_batch, real_batch, training_batches
 from tests.bench.single_photo_training.evaluate import head_points
 from tests.bench.single_photo_training.field_heads import anchors

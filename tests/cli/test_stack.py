@@ -26,7 +26,7 @@ from capture2vr.cli.demonstration.demo import run_demo
 from capture2vr.cli.errors import BadInput
 from capture2vr.cli.remote.push import follow
 from capture2vr.cli.up import free_port, is_free, run_stack
-from tests.cli.test_run import capture2vr
+from tests.cli.local.test_run import capture2vr
 from tests.conftest import missing
 from tests.support.clouds import write_ply
 from tests.support.patience import HANG_S

@@ -10,8 +10,8 @@ from textwrap import indent
 import pytest
 
 from tests.referees.godot.engine import Project, project
-from tests.support.client_site import serving
-from tests.support.godot_facts import facts
+from tests.support.clients.client_site import serving
+from tests.support.clients.godot_facts import facts
 from tests.support.repository import ROOT
 
 _HERE = Path(__file__).parent / "godot"

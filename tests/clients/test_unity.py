@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import missing
-from tests.support.client_site import serving
-from tests.support.client_world import build
+from tests.support.clients.client_site import serving
+from tests.support.clients.client_world import build
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
 

@@ -18,7 +18,7 @@ import httpx
 import numpy as np
 import pytest
 
-from tests.cli.test_run import capture2vr
+from tests.cli.local.test_run import capture2vr
 from tests.referees.docker import stand_ins
 from tests.referees.docker.engine import Engine, running, why_not
 from tests.referees.docker.figures import Figures

@@ -16,7 +16,7 @@ import httpx
 
 from capture2vr.cli.up import free_port
 from tests.deploy.test_cdn import CONF, find_nginx, wait_for
-from tests.support.name_server import name_server
+from tests.support.network.name_server import name_server
 from tests.support.patience import PATIENCE_S
 
 

@@ -17,9 +17,9 @@ import pytest
 from PIL import Image, ImageDraw
 
 from capture2vr.cli.up import free_port
-from tests.support import private_pictures
 from tests.support.fresh_process import BARE_ENVIRONMENT, run_fresh
-from tests.support.walkaround import render_walkaround
+from tests.support.photos import private_pictures
+from tests.support.photos.walkaround import render_walkaround
 
 pytestmark = pytest.mark.slow
 

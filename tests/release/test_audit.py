@@ -17,9 +17,9 @@ from release.errors import ReleaseError
 from release.project import pins
 from release.vendored import FOLDER
 from tests.conftest import missing
+from tests.support.network.vulnerability_service import ABSENT, BUSY, SILENT, VulnerabilityService, serving
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
-from tests.support.vulnerability_service import ABSENT, BUSY, SILENT, VulnerabilityService, serving
 
 pytestmark = pytest.mark.slow
 

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tests.support import captures, private_pictures
+from tests.support import captures
+from tests.support.photos import private_pictures
 
 Make = Callable[[Path], Path]
 

@@ -13,7 +13,7 @@ from capture2vr.edge.export.ply import ply_bytes
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.storage.bundle import Bundle
 from tests.support import surfaces
-from tests.support.painted import quarters
+from tests.support.photos.painted import quarters
 
 TO_ASSET = np.array([[0.0, 2, 0, 0.5], [-2, 0, 0, 1], [0, 0, 2, -0.25], [0, 0, 0, 1]])
 """From the capture frame to the asset frame: a quarter turn about Z, twice as large, and moved."""

@@ -18,7 +18,7 @@ import trimesh
 from capture2vr.edge.arrays import Bytes, Floats, Ints
 from capture2vr.edge.capture.nouns import Frame, Intrinsics
 from capture2vr.edge.mesh.nouns import Mesh
-from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.rays import RaycastingScene
 from tests.support.flats import ROOM, WALL_M, Flat, Patch, flat, paint
 from tests.support.scenes import KINECT, Sensor, look_at, spoil_depth, spoil_pose
 
@@ -150,12 +150,12 @@ def _triangles(patch: Patch) -> tuple[Floats, Ints]:
     return np.stack([low, low + u, low + u + v, low + v]), np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def _scene(truth: Flat) -> tuple[Scene, Ints]:
+def _scene(truth: Flat) -> tuple[RaycastingScene, Ints]:
     mesh, numbers = mesh_of(truth)
-    return Scene(mesh), numbers
+    return RaycastingScene(mesh), numbers
 
 
-def _render(scene: Scene, numbers: Ints, pose: Floats, camera: Intrinsics) -> tuple[Floats, Bytes]:
+def _render(scene: RaycastingScene, numbers: Ints, pose: Floats, camera: Intrinsics) -> tuple[Floats, Bytes]:
     """Depth (H,W) in metres and colours (H,W,3) as seen from a pose."""
     v, u = np.mgrid[: camera.height, : camera.width].astype(np.float32)
     local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)

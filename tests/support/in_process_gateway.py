@@ -22,7 +22,7 @@ from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Store
 from tests.support.patience import PATIENCE_S
-from tests.support.scripted_work import Making
+from tests.support.workers.scripted_work import Making
 
 TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
 SHORT = {"lease_s": 3.0, "silence_s": 15.0, "attach_for_s": 2.0, "retry_s": 0.05, "presets": ("draft", "fine")}

@@ -25,9 +25,9 @@ from capture2vr.storage.tenant_store import store_of_tenant
 from tests.conftest import missing
 from tests.support.chromium import chromium, launch
 from tests.support.npm_packages import installed
+from tests.support.photos.small_pictures import draw_small
 from tests.support.repository import ROOT
 from tests.support.sites import Site, site_at
-from tests.support.small_pictures import draw_small
 from tests.support.tenants import make_key
 
 PATIENCE_MS = 60_000  # a whole reconstruction fits, on a busy two-core machine
@@ -52,7 +52,7 @@ resolution = 32
 # Python, but for the worker: that one draws small pictures, which otherwise are two thirds of a small job's seconds.
 PYTHON = f"""#!/bin/sh
 cd {ROOT}
-[ "$3" = edge ] && set -- -m tests.support.hasty_worker edge
+[ "$3" = edge ] && set -- -m tests.support.workers.hasty_worker edge
 exec {sys.executable} "$@"
 """
 

@@ -18,7 +18,7 @@ from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.mesh.normals import face_normals, split_flips, vertex_normals
 from capture2vr.edge.mesh.nouns import Mesh
-from capture2vr.edge.render.rays import Hits, Scene, open_sky, pinhole
+from capture2vr.edge.render.rays import Hits, RaycastingScene, open_sky, pinhole
 from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.process.archives import pack
 
@@ -79,7 +79,7 @@ class _LitScene:
     """
 
     mesh: Mesh
-    scene: Scene
+    scene: RaycastingScene
     flat: Floats
     light: Floats
     subject: Floats
@@ -87,7 +87,7 @@ class _LitScene:
     @classmethod
     def of(cls, mesh: Mesh) -> _LitScene:
         mesh = split_flips(mesh)
-        scene = Scene(mesh)
+        scene = RaycastingScene(mesh)
         flat = face_normals(mesh.vertices, mesh.faces)
         flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)
         normals = vertex_normals(mesh).astype(np.float32)
@@ -107,7 +107,7 @@ def _subject(vertices: Floats) -> Floats:
     return np.stack([standing.min(axis=0), standing.max(axis=0)])
 
 
-def _light_of(scene: Scene, vertices: Floats, normals: Floats) -> Floats:
+def _light_of(scene: RaycastingScene, vertices: Floats, normals: Floats) -> Floats:
     """(V,) light on one side of the surface: a distant window, and ambient light of the room."""
     window = np.maximum(normals @ _SUN.astype(np.float32), 0.0)
     room = open_sky(scene, vertices, normals, rays=_SKY_RAYS) * (0.75 + 0.25 * normals[:, 1])

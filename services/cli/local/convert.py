@@ -25,10 +25,7 @@ def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
         reason = "cannot be made from what is there" if format_name in FORMATS else "is no format"
         raise BadInput(f"{folder}: {format_name} {reason}; it can be one of: {', '.join(possible) or 'none'}")
     path = out or folder / FORMATS[format_name].file_name(key)
-    if path.resolve() in {(folder / name).resolve() for name in (*names, MANIFEST, REPORT)}:
-        raise BadInput(f"{path} is the capture or one of the results, and would be lost: name another file with -o")
-    if path.is_dir() or not path.parent.is_dir():
-        raise BadInput(f"{path} cannot be written: name a file with -o, in a folder that exists")
+    _check_target(path, folder, names)
     try:
         made = convert(bundle, format_name, key)
     except ValueError as error:
@@ -37,6 +34,14 @@ def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
         part.write_bytes(made)
     console.print(f"{path}: {len(made):,} bytes", markup=False)
     return path
+
+
+def _check_target(path: Path, folder: Path, names: frozenset[str]) -> None:
+    """Raises BadInput where a file cannot be written, or would replace the capture or one of the results."""
+    if path.resolve() in {(folder / name).resolve() for name in (*names, MANIFEST, REPORT)}:
+        raise BadInput(f"{path} is the capture or one of the results, and would be lost: name another file with -o")
+    if path.is_dir() or not path.parent.is_dir():
+        raise BadInput(f"{path} cannot be written: name a file with -o, in a folder that exists")
 
 
 def _open(folder: Path) -> tuple[BundleFolder, str, frozenset[str]]:

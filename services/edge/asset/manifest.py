@@ -12,7 +12,7 @@ import capture2vr
 from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.asset.photo_check import PhotoCheck
 from capture2vr.edge.asset.target import Cost, Target
-from capture2vr.edge.capture_to_points import CaptureSummary
+from capture2vr.edge.capture_to_points import CaptureFacts
 from capture2vr.edge.certificate import Certificate, Evidence
 from capture2vr.edge.mesh.fill_gaps import FilledMesh
 from capture2vr.edge.mesh.nouns import Mesh
@@ -83,7 +83,7 @@ class AssetSubject:
     evidence   points that its surfaces are compared with
     """
 
-    source: CaptureSummary
+    source: CaptureFacts
     preset: Preset
     because: str
     names: AssetNames

@@ -16,13 +16,13 @@ from capture2vr.edge.mesh.topology import compact
 from capture2vr.edge.mesh.trim_rims import trim_rims
 from capture2vr.edge.points.nouns import Points, TextureView, UnitFrame
 from capture2vr.edge.render.free_space import ColouredSurface, ask_views
+from capture2vr.edge.render.marked_picture import marked_jpeg
 from capture2vr.edge.render.photo_comparison import (
     LikenessCheck,
     PhotoFigures,
     SurfaceCheck,
     check_likeness,
     check_surface,
-    marked_jpeg,
     mean_figures,
 )
 from capture2vr.edge.render.piece_support import piece_support

@@ -87,42 +87,63 @@ def place(photos: Sequence[Photo], tick: Tick) -> Attempt:
     leaves any out, by a network. Poses that came with the photos are not used where the first strategy places too few
     by them, and nearly all without them. A strategy that fails does not lose what one before it has placed.
     """
-    attempts: list[Attempt] = []
-    contradicted, failed = False, ""
-    tried: set[tuple[SiftSettings, bytes]] = set()
-    for strategy in _STRATEGIES:
-        pairs = strategy.pairs(len(photos))
-        if (strategy.setting, pairs.tobytes()) in tried:  # for few photos, sequential pairs are all pairs
-            continue
-        tried.add((strategy.setting, pairs.tobytes()))
-        known = attempts[-1].features if attempts and attempts[-1].setting == strategy.setting else ()
-        try:
-            attempts.append(_try(photos, strategy, known, tick))
-        except EdgeError as error:
-            if not attempts or not _best(attempts).enough:
-                raise
-            failed = error.message
-            break
-        if len(attempts) == 1 and not attempts[0].enough and _are_posed(photos):
-            without_poses = [replace(photo, camera_to_world=None) for photo in photos]
-            computed = _try(without_poses, replace(strategy, share=_WITHOUT_POSES), attempts[0].features, tick)
-            if contradicted := computed.share >= _GOOD:
-                photos, attempts = without_poses, [computed]
-        if attempts[-1].share >= _GOOD:
-            break
-    best = _best(attempts)
-    if _GOOD <= best.share < 1 and best.setting != FINE and len(photos) <= MANY:
-        left_out = best.left_out
-        strategy = _Strategy(FINE, lambda count: with_all(sequential(count), left_out, count), _STRATEGIES[-1].share)
-        try:
-            attempts.append(_try(photos, strategy, (), tick))
-        except EdgeError as error:
-            failed = error.message
+    first, contradicted = _try(photos, _STRATEGIES[0], (), tick), False
+    if not first.enough and _are_posed(photos):
+        without_poses = [replace(photo, camera_to_world=None) for photo in photos]
+        computed = _try(without_poses, replace(_STRATEGIES[0], share=_WITHOUT_POSES), first.features, tick)
+        if contradicted := computed.share >= _GOOD:
+            photos, first = without_poses, computed
+    attempts = [first]
+    failed = _try_further(photos, attempts, tick) or _try_left_out(photos, attempts, tick)
     best = _best(attempts)
     if best.share < 1 and is_installed():
         best = _try_learned(photos, best, tick)
     tick(1.0)
     return replace(best, contradicted=contradicted, failed=failed)
+
+
+def _try_further(photos: Sequence[Photo], attempts: list[Attempt], tick: Tick) -> str:
+    """Add attempts by the strategies after the first one, until one places enough photos (_GOOD).
+
+    Returns why a strategy failed after one that had placed enough to be used, "" where none did. Raises EdgeError where
+    one fails before that.
+    """
+    tried = {_identity(_STRATEGIES[0], len(photos))}
+    for strategy in _STRATEGIES[1:]:
+        identity = _identity(strategy, len(photos))
+        if attempts[-1].share >= _GOOD or identity in tried:  # for few photos, sequential pairs are all pairs
+            continue
+        tried.add(identity)
+        known = attempts[-1].features if attempts[-1].setting == strategy.setting else ()
+        try:
+            attempts.append(_try(photos, strategy, known, tick))
+        except EdgeError as error:
+            if not _best(attempts).enough:
+                raise
+            return error.message
+    return ""
+
+
+def _identity(strategy: _Strategy, count: int) -> tuple[SiftSettings, bytes]:
+    """What makes a strategy another one than those before it, for so many photos."""
+    return strategy.setting, strategy.pairs(count).tobytes()
+
+
+def _try_left_out(photos: Sequence[Photo], attempts: list[Attempt], tick: Tick) -> str:
+    """Add an attempt that matches the few photos that were left out with all others, by more key points.
+
+    Returns why it failed, "" where it did not or is not worth while.
+    """
+    best = _best(attempts)
+    if not _GOOD <= best.share < 1 or best.setting == FINE or len(photos) > MANY:
+        return ""
+    left_out = best.left_out
+    strategy = _Strategy(FINE, lambda count: with_all(sequential(count), left_out, count), _STRATEGIES[-1].share)
+    try:
+        attempts.append(_try(photos, strategy, (), tick))
+    except EdgeError as error:
+        return error.message
+    return ""
 
 
 def _best(attempts: Sequence[Attempt]) -> Attempt:
@@ -168,16 +189,14 @@ def _problem(
     """Collect the solver's input."""
     longest = setting.longest if learned is None else min(setting.longest, LONGEST_PX)
     pixel = float(np.median([pixel_ratio(photo, longest) for photo in photos]))
-    poses = [photo.camera_to_world for photo in photos if photo.camera_to_world is not None]
-    given = [_given_lens(photo.intrinsics, photo.distortion) for photo in photos if photo.intrinsics is not None]
     if _are_posed(photos):
-        lens_of, known = np.arange(len(photos)), np.array(poses, np.float64)
-        return SfmProblem(tuple(given), lens_of, tuple(features), pairs, pixel, known, learned)
+        poses = [photo.camera_to_world for photo in photos if photo.camera_to_world is not None]
+        given = [_given_lens(photo.intrinsics, photo.distortion) for photo in photos if photo.intrinsics is not None]
+        known = np.array(poses, np.float64)
+        return SfmProblem(tuple(given), np.arange(len(photos)), tuple(features), pairs, pixel, known, learned)
     thorough = setting == FINE or learned is not None  # by then the incremental mapper alone has failed
-    cameras = list(dict.fromkeys(photo.camera for photo in photos))
-    lenses = [_initial_lens([photo for photo in photos if photo.camera == camera]) for camera in cameras]
-    lens_of = np.array([cameras.index(photo.camera) for photo in photos])
-    return SfmProblem(tuple(lenses), lens_of, tuple(features), pairs, pixel, learned=learned, thorough=thorough)
+    lenses, lens_of = _initial_lenses(photos)
+    return SfmProblem(lenses, lens_of, tuple(features), pairs, pixel, learned=learned, thorough=thorough)
 
 
 def _are_posed(photos: Sequence[Photo]) -> bool:
@@ -189,6 +208,13 @@ def _given_lens(intrinsics: Intrinsics, distortion: Sequence[float]) -> Lens:
     """Make a lens from given intrinsics; missing distortion coefficients are 0."""
     k1, k2, p1, p2, k3 = (*distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
     return Lens(intrinsics, (k1, k2, p1, p2, k3), known=True)
+
+
+def _initial_lenses(photos: Sequence[Photo]) -> tuple[tuple[Lens, ...], Ints]:
+    """Return the initial lens of each camera, and for each photo (N,) the number of its one."""
+    cameras = list(dict.fromkeys(photo.camera for photo in photos))
+    lenses = (_initial_lens([photo for photo in photos if photo.camera == camera]) for camera in cameras)
+    return tuple(lenses), np.array([cameras.index(photo.camera) for photo in photos])
 
 
 def _initial_lens(photos: Sequence[Photo]) -> Lens:

@@ -83,11 +83,16 @@ def is_side_table(folder: Folder, name: str) -> bool:
         return False
     if len(rows) in (3, 4) and width in (3, 4):
         return True
-    table = np.array(numbers, np.float64)
-    return (width in (12, 16) and _are_matrices(table)) or (
-        len(rows) >= _FEWEST_ROWS
-        and ((width in (7, 8) and _are_quaternions(table[:, -4:])) or (width >= 7 and _are_times(table[:, 0])))
-    )
+    return _has_poses_or_times(np.array(numbers, np.float64).reshape(len(rows), width))
+
+
+def _has_poses_or_times(table: Floats) -> bool:
+    """Return whether a table (N,k) has a pose in each row, or a time."""
+    rows, width = table.shape
+    if width in (12, 16) and _are_matrices(table):
+        return True
+    has_quaternions = width in (7, 8) and _are_quaternions(table[:, -4:])
+    return rows >= _FEWEST_ROWS and (has_quaternions or (width >= 7 and _are_times(table[:, 0])))
 
 
 def _are_matrices(table: Floats) -> bool:

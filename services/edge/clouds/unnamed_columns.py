@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,14 +38,27 @@ def column_layout(table: NDArray[Any], *, counted: bool = False) -> ColumnLayout
     usual = (4, 7) if width in (7, 10) else (3, 6)
     starts = [at for at in (*usual, 3, 6, 4, 7) if at + 3 <= some.shape[1]]
     normals = next((at for at in starts if _unit_length(some[:, at : at + 3])), None)
-    free = [at for at in starts if normals is None or abs(at - normals) >= 3]
+    free = starts if normals is None else [at for at in starts if abs(at - normals) >= 3]
     first = normals + 3 if normals in (3, 4) else 3
+    colours = _byte_colours(some, first, free, unsure=counted and width == 7)
+    return ColumnLayout(_other_colours(some, width, usual, free) if colours is None else colours, normals)
+
+
+def _byte_colours(some: Floats, first: int, free: Sequence[int], *, unsure: bool) -> int | None:
+    """Return the free column at which colours of whole numbers 0 to 255 begin: `first`, or the one after an intensity.
+
+    unsure: whether the intensity comes first where nothing else tells
+    """
     whole = [at for at in (first, first + 1) if at in free and _whole_bytes(some[:, at : at + 3])]
-    if whole:
-        later = len(whole) == 2 and _intensity_is_first(some[:, first : first + 4], unsure=counted and width == 7)
-        return ColumnLayout(whole[later], normals)
-    loose = [at for at in usual if at in free and width in (6, 7, 9, 10)]
-    return ColumnLayout(next((at for at in loose if np.nanmin(some[:, at : at + 3], initial=0.0) >= 0), None), normals)
+    if len(whole) == 2:
+        return whole[_intensity_is_first(some[:, first : first + 4], unsure=unsure)]
+    return next(iter(whole), None)
+
+
+def _other_colours(some: Floats, width: int, usual: Sequence[int], free: Sequence[int]) -> int | None:
+    """Return the usual column at which three columns without negative numbers begin, in a table of a usual width."""
+    columns = [at for at in usual if at in free and width in (6, 7, 9, 10)]
+    return next((at for at in columns if np.nanmin(some[:, at : at + 3], initial=0.0) >= 0), None)
 
 
 def _unit_length(vectors: Floats) -> bool:

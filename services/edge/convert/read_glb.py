@@ -40,12 +40,12 @@ class StoredLevel:
 def read_glb(data: bytes) -> StoredLevel:
     """Read a .glb of ours. Raises ValueError for a file of others, which may be anything."""
     try:
-        return _level(_Reader.of(data))
+        return _level(_GlbFile.of(data))
     except (KeyError, IndexError, struct.error, TypeError) as error:
         raise ValueError(f"this is not a level of detail: {error!r}") from None
 
 
-def _level(reader: _Reader) -> StoredLevel:
+def _level(reader: _GlbFile) -> StoredLevel:
     document = reader.document
     ((primitive,),) = (mesh["primitives"] for mesh in document["meshes"])
     attributes, (node,) = primitive["attributes"], document["nodes"]
@@ -62,7 +62,7 @@ def _level(reader: _Reader) -> StoredLevel:
     return StoredLevel(made, ktx2, _UNLIT in used, _MESHOPT in used)
 
 
-def _textured(reader: _Reader, mesh: Mesh, attributes: dict[str, int], images: list[dict[str, Any]]) -> TexturedMesh:
+def _textured(reader: _GlbFile, mesh: Mesh, attributes: dict[str, int], images: list[dict[str, Any]]) -> TexturedMesh:
     from PIL import Image
 
     uv = reader.accessor(attributes["TEXCOORD_0"])
@@ -74,14 +74,14 @@ def _textured(reader: _Reader, mesh: Mesh, attributes: dict[str, int], images: l
 
 
 @dataclass(frozen=True, slots=True)
-class _Reader:
+class _GlbFile:
     """A file's document, and its binary chunk."""
 
     document: dict[str, Any]
     binary: bytes
 
     @classmethod
-    def of(cls, data: bytes) -> _Reader:
+    def of(cls, data: bytes) -> _GlbFile:
         magic, version, _, length = struct.unpack_from("<4sIII", data)
         if (magic, version) != (b"glTF", 2):
             raise ValueError("this is not a binary glTF 2.0 file")

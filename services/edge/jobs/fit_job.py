@@ -25,7 +25,8 @@ from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import Report
 from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.storage.bundle import Bundle, Json
-from capture2vr.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, StaleFence, publish
+from capture2vr.storage.catalogue.job_versions import StaleFence
+from capture2vr.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, publish
 from capture2vr.storage.catalogue.visibility import parse_visibility
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant

@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from capture2vr.edge.capture.nouns import PictureCamera, ScaleConfidence, UpSource
-from capture2vr.edge.capture_to_points import CaptureSummary, PreparedPoints
+from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints
 from capture2vr.edge.jobs.archived_arrays import invalid, read_array, write_array
 from capture2vr.edge.jobs.archived_views import (
     MOST_VIEWS,
@@ -86,7 +86,7 @@ class _Head:
     views: Annotated[tuple[ArchivedView, ...], Field(max_length=MOST_VIEWS)]
     edits: Edits
     cameras: Annotated[tuple[PictureCamera, ...], Field(max_length=MOST_CAMERAS)]
-    source: CaptureSummary
+    source: CaptureFacts
     seconds: dict[Stage, Annotated[float, Field(ge=0)]]
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats, Ints
-from capture2vr.edge.odometry.pyramid import Level
+from capture2vr.edge.odometry.pyramid import PyramidLevel
 
 _MOST = 600
 """Most features per picture."""
@@ -20,14 +20,14 @@ MIN_MATCHES = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Features:
+class RgbdFeatures:
     """points (N,3) float32 in the camera's frame, metres; descriptors (N,128) uint8, SIFT's"""
 
     points: Floats
     descriptors: Bytes
 
 
-def features_of(level: Level) -> Features | None:
+def features_of(level: PyramidLevel) -> RgbdFeatures | None:
     """Detect a picture's features that have a depth; None without a picture, or with fewer than MIN_MATCHES."""
     import cv2
 
@@ -44,10 +44,10 @@ def features_of(level: Level) -> Features | None:
     if known.sum() < MIN_MATCHES:
         return None
     points = level.rays[pixel[known]] / q[known, None]
-    return Features(points.astype(np.float32), np.asarray(descriptors)[known].astype(np.uint8))
+    return RgbdFeatures(points.astype(np.float32), np.asarray(descriptors)[known].astype(np.uint8))
 
 
-def match_features(here: Features, there: Features) -> tuple[Ints, Ints] | None:
+def match_features(here: RgbdFeatures, there: RgbdFeatures) -> tuple[Ints, Ints] | None:
     """Match features by the ratio test; return their indices (M,) here and there, or None where there are too few."""
     import cv2
 

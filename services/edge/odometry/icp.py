@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture2vr.edge.arrays import Bools, Floats, Ints
-from capture2vr.edge.odometry.pyramid import LEVELS, Level
+from capture2vr.edge.odometry.pyramid import LEVELS, PyramidLevel
 
 _ITERATIONS = (12, 8, 5)
 """Most iterations, from coarse to fine."""
@@ -77,7 +77,7 @@ class IcpFit:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pairs:
+class _Correspondences:
     """Matched pixels of source and target.
 
     index (K,) into the source's pixels, pixel (K,) of the target, x (K,3) points in the target's frame, u, v (K,) their
@@ -94,7 +94,7 @@ class _Pairs:
     agreement: float
 
 
-def align(source: tuple[Level, ...], target: tuple[Level, ...], guess: Floats) -> IcpFit | None:
+def align(source: tuple[PyramidLevel, ...], target: tuple[PyramidLevel, ...], guess: Floats) -> IcpFit | None:
     """Align the source to the target from an initial pose `guess` (4,4); None where too few pixels match.
 
     If the pose is weakly constrained, it is perturbed and aligned again: if it does not return, it can slide along the
@@ -108,7 +108,9 @@ def align(source: tuple[Level, ...], target: tuple[Level, ...], guess: Floats) -
     return fit if left < _BACK * float(np.linalg.norm(fit.perturbed - fit.pose)) else replace(fit, hold=0.0)
 
 
-def _align_levels(source: tuple[Level, ...], target: tuple[Level, ...], guess: Floats, levels: range) -> IcpFit | None:
+def _align_levels(
+    source: tuple[PyramidLevel, ...], target: tuple[PyramidLevel, ...], guess: Floats, levels: range
+) -> IcpFit | None:
     """Run ICP over the levels from coarse to fine; None where too few pixels match."""
     pose: Floats = np.asarray(guess, np.float64)
     fit: IcpFit | None = None
@@ -125,7 +127,7 @@ def _align_levels(source: tuple[Level, ...], target: tuple[Level, ...], guess: F
     return fit
 
 
-def _match_pixels(source: Level, target: Level, pose: Floats, gate: float) -> _Pairs:
+def _match_pixels(source: PyramidLevel, target: PyramidLevel, pose: Floats, gate: float) -> _Correspondences:
     """Match the source's pixels with the target's pixels to which they project (projective data association)."""
     camera = target.camera
     known = np.flatnonzero(source.planes[:, 2])
@@ -147,7 +149,7 @@ def _match_pixels(source: Level, target: Level, pose: Floats, gate: float) -> _P
     judged = there & (relative < gate)
     at = np.flatnonzero(meet)
     overlap, agreement = len(at) / max(len(known), 1), len(at) / max(int(np.count_nonzero(judged)), 1)
-    return _Pairs(known[inside[at]], pixel[at], x[at], u[at], v[at], relative[at], overlap, agreement)
+    return _Correspondences(known[inside[at]], pixel[at], x[at], u[at], v[at], relative[at], overlap, agreement)
 
 
 def _same_way(source: Floats, rotation: Floats, target: Floats) -> Bools:
@@ -159,7 +161,9 @@ def _same_way(source: Floats, rotation: Floats, target: Floats) -> Bools:
     return same
 
 
-def _gauss_newton_step(source: Level, target: Level, pairs: _Pairs, pose: Floats, level: int) -> tuple[IcpFit, float]:
+def _gauss_newton_step(
+    source: PyramidLevel, target: PyramidLevel, pairs: _Correspondences, pose: Floats, level: int
+) -> tuple[IcpFit, float]:
     """Do one Gauss-Newton step: return the fit after it, and its size in radians and shares of the median depth."""
     depth = float(np.median(pairs.x[:, 2]))
     middle = pairs.x.mean(axis=0, dtype=np.float64)
@@ -190,7 +194,7 @@ def _gauss_newton_step(source: Level, target: Level, pairs: _Pairs, pose: Floats
     return fit, float(np.abs(motion / scale).max())
 
 
-def _photometric(source: Level, target: Level, pairs: _Pairs) -> tuple[Floats, Floats]:
+def _photometric(source: PyramidLevel, target: PyramidLevel, pairs: _Correspondences) -> tuple[Floats, Floats]:
     """Return the gradients (K,3) of the target's grey by X, and the photometric residuals (K,).
 
     The caller subtracts the median of the residuals, the pictures' difference in exposure.

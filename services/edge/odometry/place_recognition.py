@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats, Ints
-from capture2vr.edge.odometry.features import Features
+from capture2vr.edge.odometry.features import RgbdFeatures
 
 _WORDS = 64
 _SAMPLES_PER_WORD = 500
@@ -22,7 +22,7 @@ _ITERATIONS = 20
 """Most iterations of k-means."""
 
 
-def similar_pairs(features: Sequence[Features | None], olds: Sequence[Ints]) -> list[tuple[int, int]]:
+def similar_pairs(features: Sequence[RgbdFeatures | None], olds: Sequence[Ints]) -> list[tuple[int, int]]:
     """Return a pair (old, new) for every picture: the one most like it among those that `olds` (N) names for it."""
     known = [number for number, each in enumerate(features) if each is not None]
     if len(known) < 2:
@@ -37,13 +37,13 @@ def similar_pairs(features: Sequence[Features | None], olds: Sequence[Ints]) -> 
     return pairs
 
 
-def _vectors(features: Sequence[Features]) -> Floats:
+def _vectors(features: Sequence[RgbdFeatures]) -> Floats:
     """Describe pictures by one vector each (N,128·_WORDS) float32, of length 1."""
     words = _learn_words(features)
     return np.stack([_vector(each.descriptors, words) for each in features])
 
 
-def _learn_words(features: Sequence[Features]) -> Floats:
+def _learn_words(features: Sequence[RgbdFeatures]) -> Floats:
     """Learn the visual words (W,128) by k-means from features all along the walk."""
     import cv2
 

@@ -24,7 +24,7 @@ _CALM_PX = 5
 
 
 @dataclass(frozen=True)
-class Level:
+class PyramidLevel:
     """One level of a pyramid: inverse_depth (H,W) float32 1/m, 0 unknown; grey (H,W) float32 0..1 or None."""
 
     camera: Intrinsics
@@ -65,7 +65,7 @@ class Level:
         du, dv = (grey[1:-1, 2:] - grey[1:-1, :-2]) / 2, (grey[2:, 1:-1] - grey[:-2, 1:-1]) / 2
         return np.stack([self.grey, du, dv], axis=-1).reshape(-1, 3)
 
-    def half_size(self) -> Level:
+    def half_size(self) -> PyramidLevel:
         """Downsample by 2: the mean of 2x2 pixels on one surface, or at a depth edge the nearest pixel.
 
         Averaging across an edge would make a slope of it."""
@@ -76,7 +76,7 @@ class Level:
         camera = Intrinsics(c.fx / 2, c.fy / 2, (c.cx - 0.5) / 2, (c.cy - 0.5) / 2, width, height)
         one = near - far <= max_jump(c, 0.0) * near
         grey = None if self.grey is None else _blocks(self.grey, height, width).mean(axis=0)
-        return Level(camera, np.where(one, blocks.mean(axis=0), near * (far > 0)), grey)
+        return PyramidLevel(camera, np.where(one, blocks.mean(axis=0), near * (far > 0)), grey)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,18 +92,18 @@ class PackedLevel:
     grey: Floats | None
 
     @classmethod
-    def of(cls, level: Level) -> PackedLevel:
+    def of(cls, level: PyramidLevel) -> PackedLevel:
         """Pack a level, without what it has cached."""
         grey = None if level.grey is None else level.grey.astype(np.float16)
         return cls(level.camera, level.inverse_depth.astype(np.float16), grey)
 
-    def unpacked(self) -> Level:
+    def unpacked(self) -> PyramidLevel:
         """Return the level."""
         grey = None if self.grey is None else self.grey.astype(np.float32)
-        return Level(self.camera, self.inverse_depth.astype(np.float32), grey)
+        return PyramidLevel(self.camera, self.inverse_depth.astype(np.float32), grey)
 
 
-def pyramid(level: Level) -> tuple[Level, ...]:
+def pyramid(level: PyramidLevel) -> tuple[PyramidLevel, ...]:
     """Build the pyramid of a level: from coarse to fine, `level` last."""
     levels = [level]
     while len(levels) < LEVELS:

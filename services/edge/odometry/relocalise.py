@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
-from capture2vr.edge.odometry.features import MIN_MATCHES, Features, features_of, match_features
+from capture2vr.edge.odometry.features import MIN_MATCHES, RgbdFeatures, features_of, match_features
 from capture2vr.edge.odometry.icp import IcpFit, align
-from capture2vr.edge.odometry.pyramid import Level, pyramid
+from capture2vr.edge.odometry.pyramid import PyramidLevel, pyramid
 from capture2vr.edge.procrustes import procrustes
 
 _REACH = 0.04
@@ -16,7 +16,7 @@ _TRIES = 300
 """Rounds of RANSAC."""
 
 
-def relocalise(source: tuple[Level, ...], target: Level) -> IcpFit | None:
+def relocalise(source: tuple[PyramidLevel, ...], target: PyramidLevel) -> IcpFit | None:
     """Align a source to a target at an unknown distance, by feature matching and ICP; None unless the fit is sound."""
     here, there = features_of(source[-1]), features_of(target)
     guess = None if here is None or there is None else matched_pose(here, there)
@@ -24,7 +24,7 @@ def relocalise(source: tuple[Level, ...], target: Level) -> IcpFit | None:
     return fit if fit is not None and fit.sound else None
 
 
-def matched_pose(here: Features, there: Features) -> Floats | None:
+def matched_pose(here: RgbdFeatures, there: RgbdFeatures) -> Floats | None:
     """Estimate the pose (4,4) of one camera in the other's frame from matched features; None if too few agree."""
     matches = match_features(here, there)
     return None if matches is None else _ransac_rigid(here.points[matches[0]], there.points[matches[1]])

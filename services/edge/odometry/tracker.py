@@ -23,7 +23,7 @@ from capture2vr.edge.fusion.observe import at_resolution
 from capture2vr.edge.odometry.icp import MIN_PAIRS, IcpFit, align
 from capture2vr.edge.odometry.loop_closure import close_loops
 from capture2vr.edge.odometry.pose_graph import Edge
-from capture2vr.edge.odometry.pyramid import Level, PackedLevel, pyramid
+from capture2vr.edge.odometry.pyramid import PackedLevel, PyramidLevel, pyramid
 from capture2vr.edge.odometry.relocalise import relocalise
 from capture2vr.edge.points.depth_limits import DepthLimits
 from capture2vr.edge.points.frame_faults import FrameFaults
@@ -101,11 +101,11 @@ class CameraWay:
         self.poses: list[Floats] = []
         self.edges: list[Edge] = []
         self.places: dict[int, tuple[int, Floats]] = {}
-        self._key: tuple[Level, ...] = ()
+        self._key: tuple[PyramidLevel, ...] = ()
         self._newest: int | None = None
         self._last_pose = self._motion = np.eye(4)
 
-    def track(self, number: int, level: Level) -> None:
+    def track(self, number: int, level: PyramidLevel) -> None:
         """Track frame `number`; a frame that cannot be tracked changes nothing but the assumed motion."""
         if np.count_nonzero(level.inverse_depth) < MIN_PAIRS:
             return
@@ -138,14 +138,14 @@ class CameraWay:
     def _place(self, number: int, key: int, inside: Floats) -> None:
         self.places[number], self._newest = (key, inside), number
 
-    def _add_key(self, number: int, levels: tuple[Level, ...], pose: Floats) -> None:
+    def _add_key(self, number: int, levels: tuple[PyramidLevel, ...], pose: Floats) -> None:
         """Make frame `number` the newest key frame."""
         self._place(number, len(self.keys), np.eye(4))
         self.keys.append(PackedLevel.of(levels[-1]))
         self.poses.append(pose)
         self._key = levels
 
-    def _find(self, levels: tuple[Level, ...]) -> tuple[int, IcpFit] | None:
+    def _find(self, levels: tuple[PyramidLevel, ...]) -> tuple[int, IcpFit] | None:
         """Align a frame with a key frame, usually the newest; return the key frame's index and the fit, or None."""
         newest = len(self.keys) - 1
         to_key = np.linalg.inv(self.poses[newest])
@@ -158,7 +158,7 @@ class CameraWay:
                     return newest, fit
         return max(fits + self._relocalise(levels, 1 if fits else _RELOCALISATION_KEYS), key=_agreement, default=None)
 
-    def _relocalise(self, levels: tuple[Level, ...], most: int) -> list[tuple[int, IcpFit]]:
+    def _relocalise(self, levels: tuple[PyramidLevel, ...], most: int) -> list[tuple[int, IcpFit]]:
         """Align a frame by features with the first of the `most` newest key frames that it fits; at most one fit."""
         newest = len(self.keys) - 1
         for key in range(newest, max(newest - most, -1), -1):
@@ -172,7 +172,7 @@ def _agreement(found: tuple[int, IcpFit]) -> float:
     return found[1].agreement
 
 
-def _is_next_key(fit: IcpFit, level: Level) -> bool:
+def _is_next_key(fit: IcpFit, level: PyramidLevel) -> bool:
     """Return whether a frame, aligned like this with its key frame, should become the next key frame."""
     turn = np.degrees(np.arccos(np.clip((np.trace(fit.pose[:3, :3]) - 1) / 2, -1, 1)))
     q = level.inverse_depth
@@ -180,14 +180,16 @@ def _is_next_key(fit: IcpFit, level: Level) -> bool:
     return fit.overlap < _KEY_OVERLAP or turn > _KEY_TURN_DEG or shift > _KEY_SHIFT
 
 
-def _level(frame: Frame, limits: DepthLimits, faults: FrameFaults) -> Level | None:
+def _level(frame: Frame, limits: DepthLimits, faults: FrameFaults) -> PyramidLevel | None:
     """Load a frame's filtered depth and its grey picture, at most _MAX_SIDE pixels along the longer side.
 
     None where the depth cannot be decoded."""
     view = faults.read_view(replace(frame, camera_to_world=np.eye(4)), limits)
     if view is None:
         return None
-    level = Level(view.intrinsics, view.inverse_depth, _grey(faults.read_picture(frame), view.inverse_depth.shape))
+    level = PyramidLevel(
+        view.intrinsics, view.inverse_depth, _grey(faults.read_picture(frame), view.inverse_depth.shape)
+    )
     while max(level.inverse_depth.shape) > _MAX_SIDE:
         level = level.half_size()
     return level

@@ -20,10 +20,10 @@ from capture2vr.edge.arrays import DistanceFn, Floats
 from capture2vr.edge.field.compute import open_device, translate_memory_errors
 from capture2vr.edge.field.step import Step, check_points
 from capture2vr.edge.paper_field.densify import densify_points
-from capture2vr.edge.paper_field.network_config import NetworkConfig
+from capture2vr.edge.paper_field.network_config import Densify, NetworkConfig
 from capture2vr.edge.paper_field.network_run import NetworkRun
 from capture2vr.edge.paper_field.objectives import paper_objective, paper_weights, regression_objective
-from capture2vr.edge.paper_field.queries import RANK, Batches, base_values, draw_pool
+from capture2vr.edge.paper_field.queries import RANK, Batches, Pool, base_values, draw_pool
 
 
 def fit_network(
@@ -50,10 +50,7 @@ def fit_network(
     not finite or for a config that needs a `base` or `held_out` which is missing.
     """
     xyz = np.asarray(check_points(xyz_unit, RANK + 1), np.float32)
-    if config.warm_start and base is None:
-        raise ValueError(f"a warm start of {config.warm_start} steps needs a base field to learn")
-    if config.patience and held_out is None:
-        raise ValueError(f"a patience of {config.patience} steps needs held-out points")
+    _check_inputs(config, base, held_out)
     with translate_memory_errors(f"the fit of {len(xyz):,} points in batches of {config.batch:,}"):
         run = NetworkRun(xyz, config, open_device(device), held_out, checkpoint, metres)
         if run.ended or run.done == config.total_steps:  # killed after its last step: no pool is needed any more
@@ -72,12 +69,27 @@ def fit_network(
             paper = paper_objective(run.network, pool, run.memory_of(pool), config, batches.size)
             yield from run.descend(paper, paper_weights(config), batches, end)
         if config.densify and not run.ended:
-            if run.added is None:
-                work = densify_points(run.network, pool, config.densify, config.seed)
-                run.add_points((yield from run.yield_steps(work)))
-            pool = yield from run.yield_steps(draw_pool(np.concatenate([xyz, run.added]), config, run.device, metres))
+            pool = yield from _densified(run, xyz, pool, config, config.densify, metres)
             batches = Batches(len(pool), config.densify.batch, config.seed, run.device)
             paper = paper_objective(run.network, pool, run.memory_of(pool), config, batches.size)
             yield from run.descend(paper, paper_weights(config), batches, config.total_steps)
         if run.restore_best():
             yield run.step({})
+
+
+def _check_inputs(config: NetworkConfig, base: DistanceFn | None, held_out: Floats | None) -> None:
+    """Raises ValueError for a config that needs a base field or held-out points which are missing."""
+    if config.warm_start and base is None:
+        raise ValueError(f"a warm start of {config.warm_start} steps needs a base field to learn")
+    if config.patience and held_out is None:
+        raise ValueError(f"a patience of {config.patience} steps needs held-out points")
+
+
+def _densified(
+    run: NetworkRun, xyz: Floats, pool: Pool, config: NetworkConfig, densify: Densify, metres: float | None
+) -> Generator[Step, None, Pool]:
+    """Add points of the fitted surface to the points (N,3), unless the run has them, and draw the pool of both."""
+    if run.added is None:
+        run.add_points((yield from run.yield_steps(densify_points(run.network, pool, densify, config.seed))))
+    both = np.concatenate([xyz, run.added])
+    return (yield from run.yield_steps(draw_pool(both, config, run.device, metres)))

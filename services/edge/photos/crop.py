@@ -12,7 +12,7 @@ from capture2vr.edge.capture.nouns import LoadPhoto, Photo
 
 
 @dataclass(frozen=True, slots=True)
-class CropBox:
+class CropRectangle:
     """A crop rectangle, in shares of the picture's width and height."""
 
     left: float
@@ -33,7 +33,7 @@ def _pixels(length: float) -> int:
     return round(round(length, 6))
 
 
-def crop_photo(photo: Photo, box: CropBox) -> Photo:
+def crop_photo(photo: Photo, box: CropRectangle) -> Photo:
     """Crop a photo without a pose to a box.
 
     If the box is centred in the photo, the optical axis stays in the middle of the crop."""

@@ -18,7 +18,7 @@ from capture2vr.edge.arrays import Bools, Floats, Tick, no_tick
 from capture2vr.edge.capture.nouns import Frame, Photo
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.parallel import in_threads
-from capture2vr.edge.photos.crop import CropBox, crop_photo
+from capture2vr.edge.photos.crop import CropRectangle, crop_photo
 
 _LONGEST = 320  # longer side in pixels of the compared pictures: shake of two pixels of a photo disappears in them
 _ONE_CAMERA = 0.8  # least share of the photos that the still camera took; the others were edited, or do not belong here
@@ -83,14 +83,14 @@ def mask_background(photos: Sequence[Photo], tick: Tick = no_tick) -> tuple[Phot
     # Centred at the optical axis, and not so narrow that a normal lens would picture like a telephoto lens.
     side = max(1 - 2 * min(thing.left, 1 - thing.right), 1 - 2 * min(thing.top, 1 - thing.bottom), _NARROWEST)
     margin = (1 - side) / 2
-    return tuple(crop_photo(photo, CropBox(margin, margin, 1 - margin, 1 - margin)) for photo in masked)
+    return tuple(crop_photo(photo, CropRectangle(margin, margin, 1 - margin, 1 - margin)) for photo in masked)
 
 
-def thing_box(photos: Sequence[Photo]) -> CropBox:
+def thing_box(photos: Sequence[Photo]) -> CropRectangle:
     """Compute the bounding box of the foreground masks of all photos, with a margin, to crop the photos."""
     seen = np.any([photo.mask for photo in photos if photo.mask is not None], axis=0)
     (top, bottom), (left, right) = (_span(seen.any(axis=axis)) for axis in (1, 0))
-    return CropBox(left, top, right, bottom)
+    return CropRectangle(left, top, right, bottom)
 
 
 def _span(seen: Bools) -> tuple[float, float]:

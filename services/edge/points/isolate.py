@@ -168,15 +168,23 @@ def _outermost_plane(xyz: Floats, reach: float, cameras: Floats | None, up: Floa
         large = share >= _PLANE_SHARE
         if up is not None and cameras is None and large:
             return plane
-        upward = plane if np.mean(plane.height(xyz if cameras is None else cameras) >= 0) >= 0.5 else plane.flipped()
-        half = _half_slab(plane)
-        stands_on = _is_base(upward.height(xyz), half) and (cameras is None or _is_below(upward.height(cameras), half))
-        if stands_on and (large or _is_wider(xyz, upward)):
-            return upward
-        left = left[np.abs(plane.height(left)) > half]
+        if base := _as_base(plane, xyz, cameras, large=large):
+            return base
+        left = left[np.abs(plane.height(left)) > _half_slab(plane)]
         if len(left) < _MIN_POINTS:
             break
     return None
+
+
+def _as_base(plane: Plane, xyz: Floats, cameras: Floats | None, *, large: bool) -> Plane | None:
+    """Return a plane with its normal towards the cameras, or most points, if the object stands on it; else None.
+
+    large: whether it has enough of the points to be no foot or step of the object
+    """
+    upward = plane if np.mean(plane.height(xyz if cameras is None else cameras) >= 0) >= 0.5 else plane.flipped()
+    half = _half_slab(plane)
+    stands_on = _is_base(upward.height(xyz), half) and (cameras is None or _is_below(upward.height(cameras), half))
+    return upward if stands_on and (large or _is_wider(xyz, upward)) else None
 
 
 def _is_wider(xyz: Floats, plane: Plane) -> bool:

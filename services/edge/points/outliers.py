@@ -60,7 +60,7 @@ def inliers(xyz: Floats, tick: Tick = no_tick) -> Bools:
     keep = np.ones(len(xyz), bool)
     if len(xyz) < 2 * _NEIGHBOURS:
         return keep
-    graph = _Graph(xyz)
+    graph = _NearestNeighbours(xyz)
     rule = _GENTLE
     for number in range(_MAX_ROUNDS):
         tick(number / _MAX_ROUNDS)
@@ -77,7 +77,7 @@ def inliers(xyz: Floats, tick: Tick = no_tick) -> Bools:
     return keep
 
 
-class _Graph:
+class _NearestNeighbours:
     """The M remaining points and their nearest neighbours: index (M,) into the cloud, near (M,k) into the M points."""
 
     def __init__(self, xyz: Floats) -> None:

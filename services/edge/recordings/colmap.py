@@ -49,7 +49,7 @@ _PARAMETER_INDICES: dict[str, tuple[int, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Camera:
+class _ColmapCamera:
     intrinsics: Intrinsics
     distortion: tuple[float, ...]
 
@@ -121,7 +121,7 @@ def _photo_files(folder: Folder, images: Sequence[_Image], file: str) -> dict[st
     return {name: place for name, place in places.items() if folder.has(place)}
 
 
-def _photo(folder: Folder, place: str, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
+def _photo(folder: Folder, place: str, image: _Image, cameras: dict[int, _ColmapCamera], file: str) -> Photo:
     """Read the photo at `place` and attach its intrinsics and camera-to-world pose."""
     camera = cameras.get(image.camera)
     if camera is None:
@@ -134,7 +134,7 @@ def _photo(folder: Folder, place: str, image: _Image, cameras: dict[int, _Camera
     return with_camera(read_photo(folder, place), given)
 
 
-def _camera(model: str, width: int, height: int, parameters: Floats, file: str) -> _Camera:
+def _camera(model: str, width: int, height: int, parameters: Floats, file: str) -> _ColmapCamera:
     """Make a camera from COLMAP's model and parameters. Raises CAPTURE_BAD_INTRINSICS and CAPTURE_UNREADABLE."""
     if model not in _PARAMETER_INDICES:
         what = f"has the unsupported camera model {model[:40]!r}; supported are {', '.join(_PARAMETER_INDICES)}"
@@ -149,10 +149,10 @@ def _camera(model: str, width: int, height: int, parameters: Floats, file: str) 
         what = f"has a {model} camera whose k4, k5 or k6 is not 0; only k1, k2, p1, p2 and k3 are supported"
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=file, hints=("undistort the images with COLMAP first",))
     distortion = (*lens, *[0.0] * 5)[:5]
-    return _Camera(checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, width, height), file), distortion)
+    return _ColmapCamera(checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, width, height), file), distortion)
 
 
-def _cameras(folder: Folder, file: str) -> dict[int, _Camera]:
+def _cameras(folder: Folder, file: str) -> dict[int, _ColmapCamera]:
     """Read all cameras of the model: number -> camera."""
     if file.endswith(".txt"):
         return dict(_camera_line(line, file) for line in _lines(folder, file) if line)
@@ -160,7 +160,7 @@ def _cameras(folder: Folder, file: str) -> dict[int, _Camera]:
     return dict(_camera_record(reader, file) for _ in range(reader.count(_CAMERA_BYTES)))
 
 
-def _camera_line(line: str, file: str) -> tuple[int, _Camera]:
+def _camera_line(line: str, file: str) -> tuple[int, _ColmapCamera]:
     """Parse a line of cameras.txt: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]."""
     number, model, width, height, *parameters = _split_fields(line, 4, None, file)
     sizes = (_whole_number(width, file), _whole_number(height, file))
@@ -169,7 +169,7 @@ def _camera_line(line: str, file: str) -> tuple[int, _Camera]:
     )
 
 
-def _camera_record(reader: _BinaryReader, file: str) -> tuple[int, _Camera]:
+def _camera_record(reader: _BinaryReader, file: str) -> tuple[int, _ColmapCamera]:
     """Read one camera of cameras.bin: its number and the camera."""
     number, kind, width, height = reader.take("<IiQQ")
     model = _MODELS[kind] if 0 <= kind < len(_MODELS) else f"number {kind}"

@@ -30,8 +30,8 @@ from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import Hits, Scene
-from capture2vr.edge.render.sample_image import bilinear, pixels_at, shrink_to
+from capture2vr.edge.render.rays import Hits, RaycastingScene
+from capture2vr.edge.render.sample_image import bilinear, pixels_at, resize_mask, shrink_to
 from capture2vr.edge.render.silhouette import beyond, cast_pixels, disc, outline_thing, see_mesh
 
 LIKENESS_PX = 960
@@ -41,7 +41,6 @@ _MEETS = 0.01  # of the depth: the mesh meets it
 _FACING = 0.1  # least cosine of a place's normal in a photo that sees it
 _SAMPLES = 2  # per pixel and axis: a texture finer than the pixels would look sharper than it is
 _PROBES = 20_000  # pixels of a photo for which it is asked which side the other photos saw
-_HOLE, _INSIDE, _LEAK = (255, 0, 255), (255, 200, 0), (0, 200, 255)  # sRGB signal colours of the marked pictures
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +103,7 @@ def check_surface(
     pictures = [*photos]
     if not pictures:
         return []
-    scene, normals = Scene(mesh), face_normals(mesh.vertices, mesh.faces)
+    scene, normals = RaycastingScene(mesh), face_normals(mesh.vertices, mesh.faces)
     depths = [picture.depth() for picture in seen_by]
     checks = in_threads(lambda photo: _check(photo, mesh, scene, normals, seen_by, depths, mask_of(photo)), pictures)
     return [check for check in checks if check is not None]
@@ -114,7 +113,7 @@ def check_likeness(
     subject: Mesh | TexturedMesh, photos: Sequence[PosedPicture], things: Sequence[Bools]
 ) -> list[LikenessCheck]:
     """Compare renderings of a coloured mesh with photos in its frame, each where its mask (h,w) shows the thing."""
-    scene = Scene(subject.mesh if isinstance(subject, TexturedMesh) else subject)
+    scene = RaycastingScene(subject.mesh if isinstance(subject, TexturedMesh) else subject)
     colours = _colours_of(subject)
     pairs = [*zip(photos, things, strict=True)]
     return in_threads(lambda pair: _likeness(*pair, scene, colours), pairs)
@@ -124,19 +123,17 @@ def mean_figures(checks: Sequence[SurfaceCheck], likeness: Sequence[LikenessChec
     """Average the figures over photos; None without any."""
     if not checks:
         return None
-    each = [check.figures for check in checks]
     alike = [pair for pair in likeness if pair.ssim > 0]  # 0: the rendering and the photo share no pixels
-    depths = [figures.depth for figures in each if figures.depth is not None]
     return PhotoFigures(
         photos=len(checks),
-        cover=_mean([figures.cover for figures in each]),
-        lace=_mean([figures.lace for figures in each]),
-        inside_out=_mean([figures.inside_out for figures in each]),
-        leak=_mean([figures.leak for figures in each]),
-        depth=_mean(depths) if depths else None,
-        psnr=_mean([pair.psnr for pair in alike]) if alike else None,
-        ssim=_mean([pair.ssim for pair in alike]) if alike else None,
-        sharp=_mean([pair.sharp for pair in alike]) if alike else None,
+        cover=_mean([check.figures.cover for check in checks]),
+        lace=_mean([check.figures.lace for check in checks]),
+        inside_out=_mean([check.figures.inside_out for check in checks]),
+        leak=_mean([check.figures.leak for check in checks]),
+        depth=_mean_of_known([check.figures.depth for check in checks]),
+        psnr=_mean_of_known([pair.psnr for pair in alike]),
+        ssim=_mean_of_known([pair.ssim for pair in alike]),
+        sharp=_mean_of_known([pair.sharp for pair in alike]),
     )
 
 
@@ -144,31 +141,16 @@ def _mean(values: Sequence[float]) -> float:
     return round(float(np.mean(values)), 5)
 
 
-def marked_jpeg(check: SurfaceCheck, likeness: LikenessCheck | None = None, quality: int = 85) -> bytes:
-    """Encode the photo beside the rendering as JPEG: holes magenta, insides yellow, leaks cyan.
-
-    The photo is darkened where the thing is not; without a likeness the right half shows the photo's colours on the
-    mesh.
-    """
-    from PIL import Image
-
-    photo = check.rgb if likeness is None else likeness.photo
-    shown = np.where(check.mesh[..., None], check.rgb, 32).astype(np.uint8) if likeness is None else likeness.rendering
-    size = (photo.shape[1], photo.shape[0])
-    shown = shown.copy()
-    for mask, colour in ((check.hole, _HOLE), (check.inside, _INSIDE), (check.leak, _LEAK)):
-        shown[_resize_mask(mask, size)] = colour
-    thing = _resize_mask(check.thing, size)
-    left = np.where(thing[..., None], photo, photo // 3)
-    stream = BytesIO()
-    Image.fromarray(np.concatenate([left, shown], axis=1)).save(stream, "JPEG", quality=quality)
-    return stream.getvalue()
+def _mean_of_known(values: Sequence[float | None]) -> float | None:
+    """The mean of those that are known; None without any."""
+    known = [value for value in values if value is not None]
+    return _mean(known) if known else None
 
 
 def _check(
     picture: PosedPicture,
     mesh: Mesh,
-    scene: Scene,
+    scene: RaycastingScene,
     normals: Floats,
     seen_by: Sequence[PosedPicture],
     depths: Sequence[Floats],
@@ -181,7 +163,7 @@ def _check(
         return None
     found, whole, z, own, past = view.found, view.whole, view.z, view.own, view.past
     height, width = found.shape
-    thing = outline_thing(view, picture, mesh, scene) if known is None else _resize_mask(known, (width, height))
+    thing = outline_thing(view, picture, mesh, scene) if known is None else resize_mask(known, (width, height))
     inside = np.zeros(found.size, bool)
     step = max(1, int(found.sum()) // _PROBES)
     probes = np.flatnonzero(found)[::step]
@@ -224,7 +206,9 @@ def _shows_back(
     return ~this & other
 
 
-def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callable[[Hits], Floats]) -> LikenessCheck:
+def _likeness(
+    picture: PosedPicture, thing: Bools, scene: RaycastingScene, colours: Callable[[Hits], Floats]
+) -> LikenessCheck:
     import cv2
 
     photo = shrink_to(picture.load_rgb(), LIKENESS_PX)
@@ -236,7 +220,7 @@ def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callab
     drawn[met] = colours(Hits(hits.face[met], hits.along[met], hits.bary[met]))
     rendering = cv2.resize(drawn.reshape(*fine[::-1], 3), (width, height), interpolation=cv2.INTER_AREA)
     found = cv2.resize(met.reshape(fine[::-1]).astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) == 1
-    shown = _resize_mask(thing, (width, height))
+    shown = resize_mask(thing, (width, height))
     both = cv2.erode((shown & found).astype(np.uint8), disc(2)) > 0
     return compare_colours(photo, np.asarray(rendering, np.float32), both)
 
@@ -293,13 +277,6 @@ def _decode(jpeg: bytes) -> Bytes:
 
     with Image.open(BytesIO(jpeg)) as image:
         return np.asarray(image.convert("RGB"))
-
-
-def _resize_mask(mask: Bools, size: tuple[int, int]) -> Bools:
-    """Resize a mask to (width, height)."""
-    import cv2
-
-    return np.asarray(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
 
 
 def _share(part: Bools, whole: Bools) -> float:

@@ -32,7 +32,7 @@ class Hits:
         return cls(np.full(count, -1, np.int64), np.full(count, np.inf, np.float32), np.zeros((count, 3), np.float32))
 
 
-class Scene:
+class RaycastingScene:
     """A mesh with Embree's acceleration structure. Rays are in the mesh's frame; inside, everything is centred and
     scaled, because Embree computes in float32.
 
@@ -77,7 +77,7 @@ class Scene:
         return self._scene.run(starts, (directions * self._scale).astype(np.float32, copy=False), **options)
 
 
-def nearest_along(scene: Scene, places: Floats, normals: Floats, reach: float) -> Hits:
+def nearest_along(scene: RaycastingScene, places: Floats, normals: Floats, reach: float) -> Hits:
     """Find where the line through each place (N,3) along its unit normal (N,3) meets the mesh, on the side where that
     is nearer; nothing where it is farther off than `reach`."""
     above, below = scene.cast(places, normals), scene.cast(places, -normals)
@@ -95,7 +95,7 @@ def pinhole(x: Floats, y: Floats, right: Floats, down: Floats, ahead: Floats) ->
     return grid.reshape(-1, 3)
 
 
-def open_sky(scene: Scene, vertices: Floats, normals: Floats, *, rays: int) -> Floats:
+def open_sky(scene: RaycastingScene, vertices: Floats, normals: Floats, *, rays: int) -> Floats:
     """Ambient occlusion: (V,) share of `rays` rays over each vertex that hit nothing, with a cosine distribution.
 
     vertices (V,3), normals (V,3) of unit length, float32. Surface farther off than `_SKY_REACH` does not count.

@@ -17,7 +17,7 @@ from capture2vr.edge.export.shading import Shaded, shaded
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.parallel import in_threads
-from capture2vr.edge.render.rays import LIFT, Hits, Scene, open_sky, pinhole
+from capture2vr.edge.render.rays import LIFT, Hits, RaycastingScene, open_sky, pinhole
 from capture2vr.edge.srgb import to_linear
 
 _HALF_VIEW = 0.25  # tangent of half the field of view: about 28°, a portrait lens
@@ -42,7 +42,7 @@ class RenderMesh:
     """
 
     mesh: Mesh
-    scene: Scene
+    scene: RaycastingScene
     face_normals: Floats
     attributes: Floats
     texture: Bytes | None
@@ -55,7 +55,7 @@ class RenderMesh:
         """
         surface = shaded(subject)
         mesh = _to_unit(surface.mesh)
-        scene = Scene(mesh)
+        scene = RaycastingScene(mesh)
         flat = face_normals(mesh.vertices, mesh.faces)
         flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)
         normals, vertices = surface.normals.astype(np.float32), mesh.vertices.astype(np.float32)

@@ -54,3 +54,10 @@ def shrink_to(rgb: Bytes, longest: int) -> Bytes:
         return rgb
     size = (max(1, round(rgb.shape[1] * by)), max(1, round(rgb.shape[0] * by)))
     return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def resize_mask(mask: Bools, size: tuple[int, int]) -> Bools:
+    """Resize a mask (h,w) to (width, height), without interpolation."""
+    import cv2
+
+    return np.asarray(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)

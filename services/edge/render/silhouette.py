@@ -15,7 +15,7 @@ from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import Hits, Scene, pinhole
+from capture2vr.edge.render.rays import Hits, RaycastingScene, pinhole
 from capture2vr.edge.render.sample_image import pixels_at, shrink_to
 
 LONGEST_PX = 480
@@ -63,7 +63,7 @@ class MeshInPhoto:
     hidden: Bools
 
 
-def see_mesh(picture: PosedPicture, scene: Scene) -> MeshInPhoto | None:
+def see_mesh(picture: PosedPicture, scene: RaycastingScene) -> MeshInPhoto | None:
     """Render a mesh from a photo's camera; None where the photo shows too little of it."""
     import cv2
 
@@ -85,7 +85,7 @@ def outline_thing(
     view: MeshInPhoto,
     picture: PosedPicture,
     mesh: Mesh,
-    scene: Scene,
+    scene: RaycastingScene,
     *,
     certain: float = _CERTAIN,
     rounds: int = _ROUNDS,
@@ -109,7 +109,7 @@ def outside_outlines(mesh: Mesh, pictures: Sequence[PosedPicture]) -> Bools:
     """
     if len(pictures) < _FEWEST_VOTES:
         return np.zeros(len(mesh.vertices), bool)
-    scene = Scene(mesh)
+    scene = RaycastingScene(mesh)
     background, thing = (np.zeros(len(mesh.vertices), np.int64) for _ in range(2))
     for beside, on in in_threads(lambda picture: _vote(picture, mesh, scene), pictures):
         background[beside] += 1
@@ -117,7 +117,7 @@ def outside_outlines(mesh: Mesh, pictures: Sequence[PosedPicture]) -> Bools:
     return (background >= _FEWEST_VOTES) & (background > _MAJORITY * thing)
 
 
-def _vote(picture: PosedPicture, mesh: Mesh, scene: Scene) -> tuple[Ints, Ints]:
+def _vote(picture: PosedPicture, mesh: Mesh, scene: RaycastingScene) -> tuple[Ints, Ints]:
     """Indices of the vertices that a photo sees near the silhouette's outline: beside the thing, and on it."""
     view = see_mesh(picture, scene)
     if view is None:
@@ -146,7 +146,7 @@ def _core(view: MeshInPhoto, certain: float) -> Bools:
     return np.asarray(cv2.erode(view.found.astype(np.uint8), disc(radius)) > 0)
 
 
-def cast_pixels(picture: PosedPicture, scene: Scene, width: int, height: int) -> tuple[Hits, Floats]:
+def cast_pixels(picture: PosedPicture, scene: RaycastingScene, width: int, height: int) -> tuple[Hits, Floats]:
     """Cast a ray through every pixel; also return the rays (N,3), whose length along the optical axis is 1 of the
     camera's units."""
     back = np.linalg.inv(picture.to_camera)[:3, :3]
@@ -163,7 +163,7 @@ def cast_pixels(picture: PosedPicture, scene: Scene, width: int, height: int) ->
     return hits, rays
 
 
-def _window(picture: PosedPicture, scene: Scene, width: int, height: int) -> tuple[slice, slice]:
+def _window(picture: PosedPicture, scene: RaycastingScene, width: int, height: int) -> tuple[slice, slice]:
     """Rows and columns of a picture of that size outside of which no ray meets the mesh: those of its bounding box."""
     at, z = picture.project(scene.corners())
     if z.min() <= 0:

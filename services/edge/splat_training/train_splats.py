@@ -28,7 +28,7 @@ from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.field.compute import translate_memory_errors
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.render.sample_image import shrink_to
 from capture2vr.edge.render.silhouette import disc, outline_thing, see_mesh
 from capture2vr.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
@@ -90,7 +90,7 @@ def _numbers(count: int) -> Iterator[int]:
 
 def _load(mesh: Mesh, pictures: Sequence[PosedPicture], device: torch.device, tick: Tick) -> list[_Photo]:
     """Load the photos that show the mesh."""
-    scene, photos = Scene(mesh), list[_Photo]()
+    scene, photos = RaycastingScene(mesh), list[_Photo]()
     for number, each in enumerate(pictures):
         picture = each.loaded()  # decoded once, and looked at three times
         if (view := see_mesh(picture, scene)) is not None:

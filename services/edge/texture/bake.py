@@ -18,7 +18,7 @@ from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, pa
 from capture2vr.edge.mesh.normals import face_normals, vertex_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.parallel import in_threads, slices
-from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.srgb import to_srgb
 
 _BAND = 1 << 18  # texels looked up together: their rays take 50 MB, and a cancellation takes effect within a second
@@ -40,7 +40,7 @@ class Texels:
 
 def find_texels(faces: Ints, uv: Floats, side: int, tick: Tick = no_tick) -> Texels:
     """Find the texels of a texture of side × side whose centres lie on a chart; uv (V,2)."""
-    scene = Scene(Mesh(np.concatenate([uv, np.zeros((len(uv), 1))], axis=1), faces))
+    scene = RaycastingScene(Mesh(np.concatenate([uv, np.zeros((len(uv), 1))], axis=1), faces))
     ahead = np.array([[0.0, 0.0, 1.0]], np.float32)
 
     def find(part: slice) -> tuple[Ints, Ints, Floats]:

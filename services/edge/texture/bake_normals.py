@@ -13,7 +13,7 @@ from capture2vr.edge.export.shading import shaded, with_tangents
 from capture2vr.edge.mesh.normals import vertex_normals
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.parallel import in_threads, slices
-from capture2vr.edge.render.rays import Scene, nearest_along
+from capture2vr.edge.render.rays import RaycastingScene, nearest_along
 from capture2vr.edge.texture.bake import add_rim_texels, fill_unknown, find_texels, interpolate, jpeg_of
 
 _REACH = 0.01  # of the longest side: farther off, a simplified mesh stands for something else
@@ -29,7 +29,7 @@ class FullShape:
 
     def __init__(self, full: Mesh) -> None:
         self.faces = len(full.faces)
-        self._full, self._scene, self._normals = full, Scene(full), vertex_normals(full)
+        self._full, self._scene, self._normals = full, RaycastingScene(full), vertex_normals(full)
 
     def normals_at(self, places: Floats, normals: Floats) -> Floats:
         """Look up unit normals (N,3) at places (N,3) of a level of detail with unit normals (N,3), on their side.

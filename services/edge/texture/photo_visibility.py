@@ -15,7 +15,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.posed_picture import PosedPicture
-from capture2vr.edge.render.rays import LIFT, Scene
+from capture2vr.edge.render.rays import LIFT, RaycastingScene
 from capture2vr.edge.render.sample_image import pixels_at
 
 _LEAST_COSINE = 0.2  # 78°: beyond, a pixel covers five times its width
@@ -43,7 +43,7 @@ class PhotoVisibility:
     """
 
     def __init__(self, mesh: Mesh, usual: float) -> None:
-        self._scene, self._usual = Scene(mesh), usual
+        self._scene, self._usual = RaycastingScene(mesh), usual
 
     @property
     def longest(self) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from capture2vr.edge.asset.target import Target
+from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.export.ktx2 import EncodeKtx2
 from capture2vr.edge.export.tileset import TilesetNode
 from capture2vr.edge.tiles.folder import SceneFolder
@@ -99,7 +100,7 @@ class LevelFiles:
         shown = replace(welded, vertices=self.grid.to_metres(welded.vertices))
         textured = self.target.texture_px and rgb is not None and len(welded.faces)
         pictures = [each.loaded() for each in self.views.that_see(shown)] if textured else []
-        return welded, cells, rgb, pictures, self.grid, node.place, self.target, self.encode
+        return welded, Cloud(cells, rgb), pictures, self.grid, node.place, self.target, self.encode
 
 
 def _name(node: Node) -> str:

@@ -13,8 +13,9 @@ from functools import partial
 import numpy as np
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, part_of
+from capture2vr.edge.arrays import Bools, Floats, Tick, part_of
 from capture2vr.edge.asset.target import Target
+from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.export.ktx2 import EncodeKtx2
 from capture2vr.edge.mesh.concatenate import concatenate
@@ -81,8 +82,7 @@ class Level:
 def tile_level(
     tick: Tick,
     welded: Mesh,
-    cells: Floats,
-    rgb: Bytes | None,
+    points: Cloud,
     pictures: Sequence[PosedPicture],
     grid: TileGrid,
     tile: Tile,
@@ -91,7 +91,7 @@ def tile_level(
 ) -> Level:
     """Colour and simplify a welded tile, and give it a texture where pictures show it; without any, vertex colours.
 
-    welded    in cells, as are the points (N,3) of it and its seams; rgb (N,3) sRGB, if the capture has colours
+    welded    in cells, as are the points of it and its seams
     pictures  that see it, the best first, in the asset frame
     encode    encoder of KTX2 textures for a target that wants them
     """
@@ -99,7 +99,7 @@ def tile_level(
     mesh = replace(welded, vertices=grid.to_metres(welded.vertices))
     if len(mesh.faces) == 0:
         return _level(mesh, None, grid, target, 0.0)
-    xyz = grid.to_metres(cells)
+    xyz, rgb = grid.to_metres(points.xyz), points.rgb
     mesh = mesh if rgb is None else transfer_colours(mesh, xyz, rgb)
     tick(0.2)
     budget = max(len(mesh.faces) // _KEPT, _FEWEST)

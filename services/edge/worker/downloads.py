@@ -27,7 +27,7 @@ MOST = 32
 """Most that are made or wait: those who ask beyond that ask another worker, or again."""
 
 
-class Downloads:
+class DownloadMaker:
     """Makes downloads. Used on the event loop; each is made in a thread of its own, to its end."""
 
     def __init__(self, work: Work, scratch: Scratch) -> None:

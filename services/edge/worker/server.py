@@ -18,7 +18,7 @@ from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api import edge_pb2_grpc
 from capture2vr.edge.api.grpc_client import KEEPALIVE, MESSAGE_LIMITS
 from capture2vr.edge.worker.authentication import TokenAuthentication, drain_messages
-from capture2vr.edge.worker.downloads import Downloads
+from capture2vr.edge.worker.downloads import DownloadMaker
 from capture2vr.edge.worker.inspections import Inspections
 from capture2vr.edge.worker.job_queue import JobQueue
 from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError, checked_box
@@ -55,7 +55,7 @@ _OUT_OF_MEMORY = "OUT_OF_MEMORY: this worker was killed because its jobs wanted 
 
 
 class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
-    """Implements the wire's calls with a worker's `JobQueue`, `Inspections` and `Downloads`."""
+    """Implements the wire's calls with a worker's `JobQueue`, `Inspections` and `DownloadMaker`."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
         work: Work,
         runs: JobQueue,
         inspections: Inspections,
-        downloads: Downloads,
+        downloads: DownloadMaker,
         *,
         out_of_memory: bool,
     ) -> None:
@@ -195,7 +195,7 @@ class EdgeServer:
         interceptors = [TokenAuthentication(self._security.token)] if self._security.token else []
         self._server = grpc.aio.server(interceptors=interceptors, options=OPTIONS)
         self._health = health.aio.HealthServicer()
-        inspections, self._downloads = Inspections(work, scratch), Downloads(work, scratch)
+        inspections, self._downloads = Inspections(work, scratch), DownloadMaker(work, scratch)
         servicer = EdgeServicer(settings, work, self._runs, inspections, self._downloads, out_of_memory=out_of_memory)
         edge_pb2_grpc.add_EdgeReconstructionServicer_to_server(servicer, self._server)  # type: ignore[no-untyped-call]
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)

@@ -17,6 +17,7 @@ from sqlalchemy.exc import IntegrityError
 
 from capture2vr.gateway.access.api_key import KEY_PATTERN, ApiKey, hash_of, new_secret
 from capture2vr.gateway.access.caller import Scope, parse_scopes, scope_names
+from capture2vr.gateway.access.pairing import Pairing, find_pairing, free_code, pairing_from
 from capture2vr.gateway.access.tables import api_keys, pairings, secrets, tenants, usage
 from capture2vr.gateway.database.database import for_writing, upsert
 from capture2vr.storage.tenant_store import check_tenant
@@ -33,24 +34,6 @@ class Tenant:
     name: str
     label: str
     created: float
-
-
-@dataclass(frozen=True, slots=True)
-class Pairing:
-    """An invitation of one device: whoever shows its token or its code before `expires` gets a key with its scopes.
-
-    key_expires  when that key expires; None: never
-    key          id of the key, once it has been claimed; else ""
-    """
-
-    id: str
-    tenant: str
-    label: str
-    scopes: frozenset[Scope]
-    code: str
-    expires: float
-    key_expires: float | None
-    key: str
 
 
 class AccessStore:
@@ -223,18 +206,18 @@ class AccessStore:
                 "label": label,
                 "scopes": _join(scopes),
                 "token_sha256": hash_of(token),
-                "code": _free_code(taken),
+                "code": free_code(taken),
                 "expires": now + PAIRING_S,
                 "key_expires": key_expires,
                 "key": None,
             }
             db.execute(pairings.insert().values(values))
-            return _pairing_from(values), token
+            return pairing_from(values), token
 
     def pairing(self, pairing_id: str, tenant: str) -> Pairing | None:
         """Return a tenant's pairing, or None."""
         with self._engine.begin() as db:
-            return _find_pairing(db, sa.and_(pairings.c.id == pairing_id, pairings.c.tenant == tenant))
+            return find_pairing(db, sa.and_(pairings.c.id == pairing_id, pairings.c.tenant == tenant))
 
     def claim_pairing(self, *, token: str = "", code: str = "") -> tuple[ApiKey, str] | None:
         """Claim a pairing by its token or its code: create its key and return it with its secret.
@@ -245,7 +228,7 @@ class AccessStore:
         now = time.time()
         with self._writer.begin() as db:
             open_ones = sa.and_(wanted, pairings.c.expires > now, pairings.c.key.is_(None))
-            found = _find_pairing(db, open_ones, lock=True)
+            found = find_pairing(db, open_ones, lock=True)
             if found is None:
                 return None
             secret = new_secret(found.tenant)
@@ -296,24 +279,5 @@ def _key_from(row: sa.Row[Any] | None) -> ApiKey | None:
     return ApiKey(**{**row._mapping, "scopes": parse_scopes(row.scopes.split())}) if row else None
 
 
-def _find_pairing(db: Connection, which: sa.ColumnElement[bool], *, lock: bool = False) -> Pairing | None:
-    """Find a pairing. lock: until the transaction's end, on databases with more than one writer at a time"""
-    select = sa.select(pairings).where(which)
-    row = db.execute(select.with_for_update() if lock else select).first()
-    return _pairing_from(dict(row._mapping)) if row else None
-
-
-def _pairing_from(row: Mapping[str, Any]) -> Pairing:
-    values = {name: value for name, value in row.items() if name != "token_sha256"}
-    return Pairing(**{**values, "scopes": parse_scopes(row["scopes"].split()), "key": row["key"] or ""})
-
-
 def _join(scopes: Iterable[Scope]) -> str:
     return " ".join(scope_names(scopes))
-
-
-def _free_code(taken: set[str]) -> str:
-    """Return six random digits that no open pairing has."""
-    while (code := f"{random.randbelow(10**6):06}") in taken:
-        pass
-    return code

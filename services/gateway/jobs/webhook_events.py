@@ -7,24 +7,24 @@ from typing import Any
 
 from capture2vr.gateway.jobs import job as nouns
 from capture2vr.gateway.jobs.job import Job, State
-from capture2vr.gateway.webhooks.outbox import Event
+from capture2vr.gateway.webhooks.outbox import WebhookEvent
 
 _TOLD = {State.RUNNING, State.SUCCEEDED, State.FAILED, State.CANCELLED}
 
 
-def webhook_events(job: Job, events: Iterable[nouns.Event]) -> list[Event]:
+def webhook_events(job: Job, events: Iterable[nouns.Event]) -> list[WebhookEvent]:
     """Convert the events of a job's change to webhook events; progress, for one, is left out."""
     return [told for event in events if (told := _webhook_event(job, event)) is not None]
 
 
-def _webhook_event(job: Job, event: nouns.Event) -> Event | None:
+def _webhook_event(job: Job, event: nouns.Event) -> WebhookEvent | None:
     name = f"{job.id} {event.seq}"
     if event.kind == "published":
-        return Event(
+        return WebhookEvent(
             "asset.published", name, {**event.data["asset"], "job": job.id, "label": job.order.options.names.label}
         )
     if event.kind == "state" and job.state in _TOLD:
-        return Event(f"job.{job.state.lower()}", name, _job_data(job))
+        return WebhookEvent(f"job.{job.state.lower()}", name, _job_data(job))
     return None
 
 

@@ -65,7 +65,7 @@ def with_archive(store: Store, capture: str, read: Callable[[zipfile.ZipFile], T
         size = store.head(name).size
     except (FileNotFoundError, ValueError):
         raise unknown_capture(capture) from None
-    stored = _StoredFile(store, name, size)
+    stored = _ObjectReader(store, name, size)
     try:
         with io.BufferedReader(stored, _BLOCK_BYTES) as file, zipfile.ZipFile(file) as archive:
             return read(archive)
@@ -81,7 +81,7 @@ def with_archive(store: Store, capture: str, read: Callable[[zipfile.ZipFile], T
         raise Problem(503, "CAPTURE_DAMAGED", f"the files of '{capture}' are damaged", hints=hints) from None
 
 
-class _StoredFile(io.RawIOBase):
+class _ObjectReader(io.RawIOBase):
     """An object of a store as a file that is read in parts. fault: the store's last error"""
 
     def __init__(self, store: Store, name: str, size: int) -> None:

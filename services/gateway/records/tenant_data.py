@@ -27,7 +27,7 @@ from capture2vr.gateway.jobs.store import JobStore
 from capture2vr.gateway.records.deletions import Deletion, DeletionStore, receipt_of
 from capture2vr.gateway.resumable.store import UploadStore
 from capture2vr.gateway.webhooks.deliveries import Deliveries
-from capture2vr.gateway.webhooks.outbox import Event, Outbox
+from capture2vr.gateway.webhooks.outbox import Outbox, WebhookEvent
 from capture2vr.storage.catalogue.deletion import DeletedObject, delete_asset, delete_everything
 from capture2vr.storage.catalogue.entry import list_keys, read_entry
 from capture2vr.storage.catalogue.signing import Keys
@@ -164,7 +164,7 @@ class TenantData:
     async def _finish(self, tenant: str, event: str, receipt: dict[str, Any], data: dict[str, Any]) -> Deletion:
         deletion = await self._run(lambda: self.deletions.add(tenant, receipt))
         await self.usage.add(tenant, -receipt["bytes"])
-        message = Event(event, deletion.id, {"deletion": deletion.id, **data})
+        message = WebhookEvent(event, deletion.id, {"deletion": deletion.id, **data})
         await self._run(lambda: self.outbox.enqueue(tenant, message))
         self.deliveries.wake()
         return deletion

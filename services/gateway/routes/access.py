@@ -14,7 +14,7 @@ from pydantic import BaseModel, Field
 from capture2vr.gateway.access.api_key import ApiKey
 from capture2vr.gateway.access.authentication import Authentication
 from capture2vr.gateway.access.caller import Caller, Scope, scope_names
-from capture2vr.gateway.access.store import Pairing
+from capture2vr.gateway.access.pairing import Pairing
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.qr_code import qr_svg

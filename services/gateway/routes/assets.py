@@ -23,7 +23,7 @@ from capture2vr.gateway.routes.http_ranges import etag_matches
 from capture2vr.gateway.routes.read_rules import READS_ASSET, Reading, reading_of, unknown_asset
 from capture2vr.gateway.routes.store_access import gateway_url, in_thread, object_url, page_path, store_of
 from capture2vr.gateway.schemas import problems
-from capture2vr.gateway.webhooks.outbox import Event
+from capture2vr.gateway.webhooks.outbox import WebhookEvent
 from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
 from capture2vr.storage.catalogue.faults import CatalogueFault
 from capture2vr.storage.catalogue.removal import remove, restore
@@ -225,7 +225,7 @@ async def _set_removed(
 async def _tell_webhooks(request: Request, found: Entry) -> None:
     """Tell the tenant's webhooks that an asset was removed or restored; a repeated request tells it once."""
     data = {"key": found.key, "version": found.version, "updated": found.document["updated"]}
-    event = Event(f"asset.{'removed' if found.removed else 'restored'}", json.dumps(data, sort_keys=True), data)
+    event = WebhookEvent(f"asset.{'removed' if found.removed else 'restored'}", json.dumps(data, sort_keys=True), data)
     gateway, tenant = gateway_of(request), caller_of(request).tenant
     await gateway.access.authentication.run(lambda: gateway.webhooks.outbox.enqueue(tenant, event))
     gateway.webhooks.deliveries.wake()

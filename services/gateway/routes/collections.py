@@ -85,17 +85,17 @@ class PlaceView(BaseModel):
     asset: RowView
 
 
-class KeyView(BaseModel):
+class PublicKeyView(BaseModel):
     """An Ed25519 public key: `key` is its id, `ed25519` its 32 raw bytes as base64."""
 
     key: str
     ed25519: str
 
 
-class KeyPage(BaseModel):
+class PublicKeyPage(BaseModel):
     """The public keys whose signatures this gateway accepts; if empty, it does not check signatures."""
 
-    keys: list[KeyView]
+    keys: list[PublicKeyView]
 
 
 @router.get(
@@ -189,11 +189,13 @@ async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceV
     return PlaceView(collection=name, version=version, shard=object_url(request, shard.name), asset=asset)
 
 
-@router.get("/keys", response_model=KeyPage, dependencies=[ANYONE])
-async def list_public_keys(gateway: GatewayOf) -> KeyPage:
+@router.get("/keys", response_model=PublicKeyPage, dependencies=[ANYONE])
+async def list_public_keys(gateway: GatewayOf) -> PublicKeyPage:
     """List the public keys that verify collections; clients store them at their first visit (trust on first use)."""
     keys = gateway.keys.verification_keys
-    return KeyPage(keys=[KeyView(key=each.id, ed25519=base64.b64encode(each.raw).decode()) for each in keys])
+    return PublicKeyPage(
+        keys=[PublicKeyView(key=each.id, ed25519=base64.b64encode(each.raw).decode()) for each in keys]
+    )
 
 
 async def _read(request: Request, name: str, take: Callable[[Index], _T]) -> _T:

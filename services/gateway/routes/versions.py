@@ -17,7 +17,7 @@ from capture2vr.gateway.routes.assets import Key, add_urls, check_key
 from capture2vr.gateway.routes.read_rules import unknown_asset
 from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import problems
-from capture2vr.gateway.webhooks.outbox import Event
+from capture2vr.gateway.webhooks.outbox import WebhookEvent
 from capture2vr.storage.catalogue.entry import Entry
 from capture2vr.storage.catalogue.versions import UnknownVersion, read_version, restore_version
 
@@ -101,7 +101,7 @@ async def _tell_webhooks(request: Request, found: Entry) -> None:
         "job": newest["job"],
         "label": found.names.label,
     }
-    event = Event("asset.published", f"{found.key} {found.version}", data)
+    event = WebhookEvent("asset.published", f"{found.key} {found.version}", data)
     gateway, tenant = gateway_of(request), caller_of(request).tenant
     await gateway.access.authentication.run(lambda: gateway.webhooks.outbox.enqueue(tenant, event))
     gateway.webhooks.deliveries.wake()

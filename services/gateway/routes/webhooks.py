@@ -15,7 +15,7 @@ from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.schemas import Label, StrictBody, problems
 from capture2vr.gateway.webhooks.outbox import Message
-from capture2vr.gateway.webhooks.send import Refused
+from capture2vr.gateway.webhooks.send import UrlRefused
 from capture2vr.gateway.webhooks.store import Webhook
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
@@ -126,7 +126,7 @@ async def create_webhook(body: WebhookRequest, request: Request, gateway: Gatewa
     """Create a webhook. Its messages follow Standard Webhooks: signed, retried for a day, each with one id."""
     try:
         await gateway.webhooks.deliveries.check(body.url)
-    except (Refused, httpx.InvalidURL, OSError) as error:
+    except (UrlRefused, httpx.InvalidURL, OSError) as error:
         hints = ("name an https:// URL that the internet reaches",)
         raise Problem(422, "WEBHOOK_URL_REFUSED", f"no message is sent to this URL: {error}", hints=hints) from None
     store, tenant = gateway.webhooks.store, caller_of(request).tenant

@@ -95,8 +95,11 @@ def sniff(name: str, head: bytes) -> Kind:
         return Kind.WEBP
     if head[4:8] == b"ftyp":
         return Kind.HEIF if head[8:12] in _HEIF_BRANDS else Kind.VIDEO
-    if _is_sidecar(name):
-        return Kind.SIDECAR
+    return Kind.SIDECAR if _is_sidecar(name) else _kind_by_suffix(name, head)
+
+
+def _kind_by_suffix(name: str, head: bytes) -> Kind:
+    """Return the type of a file whose first bytes name none."""
     suffix = PurePosixPath(name).suffix.lower()
     if suffix in _VIDEO_SUFFIXES or (head[4:8] in _OLD_MOVIE and suffix not in _DATA_SUFFIXES):
         return Kind.VIDEO

@@ -39,7 +39,7 @@ class Deliveries:
         self._cleaned = 0.0
 
     async def check(self, url: str) -> None:
-        """Raises Refused, OSError for a URL that no message would be sent to now."""
+        """Raises UrlRefused, OSError for a URL that no message would be sent to now."""
         await self._sender.check(url)
 
     def wake(self) -> None:

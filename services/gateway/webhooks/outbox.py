@@ -42,7 +42,7 @@ _LEASE_S = 60.0  # for one attempt: longer than any takes; a gateway that died i
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class WebhookEvent:
     """A change that webhooks tell. name: what makes it one and the same event, however often it is reported"""
 
     type: str
@@ -86,7 +86,7 @@ _ENABLED = sa.select(webhooks.c.id, webhooks.c.events).where(
 )
 
 
-def new_messages(db: Connection, tenant: str, events: Sequence[Event]) -> list[dict[str, Any]]:
+def new_messages(db: Connection, tenant: str, events: Sequence[WebhookEvent]) -> list[dict[str, Any]]:
     """Create the outbox rows for a tenant's events: one message for each webhook that subscribes to the event."""
     enabled = db.execute(_ENABLED, {"of_tenant": tenant}).all() if events else []
     now = time.time()  # with a step between events that come together: they are sent in the order of their times
@@ -104,7 +104,7 @@ def enqueue(db: Connection, rows: Iterable[Mapping[str, Any]]) -> None:
         insert_if_absent(db, messages, row)
 
 
-def new_message(webhook: str, tenant: str, event: Event, payload: str, now: float) -> dict[str, Any]:
+def new_message(webhook: str, tenant: str, event: WebhookEvent, payload: str, now: float) -> dict[str, Any]:
     """Return a new row of the outbox."""
     digest = hashlib.sha256(f"{webhook} {event.type} {event.name}".encode()).hexdigest()
     return {
@@ -123,7 +123,7 @@ def new_message(webhook: str, tenant: str, event: Event, payload: str, now: floa
     }
 
 
-def payload_of(event: Event) -> str:
+def payload_of(event: WebhookEvent) -> str:
     """Return the body of an event's message, as Standard Webhooks has it."""
     return _payload(event)
 
@@ -136,7 +136,7 @@ class Outbox:
         self._writer = for_writing(engine)
         self._locks = engine.dialect.name != "sqlite"
 
-    def enqueue(self, tenant: str, event: Event) -> None:
+    def enqueue(self, tenant: str, event: WebhookEvent) -> None:
         """Put an event into the outbox."""
         with self._writer.begin() as db:
             enqueue(db, new_messages(db, tenant, (event,)))
@@ -220,7 +220,7 @@ def _webhooks_by_turn(due: sa.ColumnElement[bool], busy: set[str]) -> sa.Select[
     return served.order_by(waiting.c.place, waiting.c.oldest, waiting.c.webhook)
 
 
-def _payload(event: Event) -> str:
+def _payload(event: WebhookEvent) -> str:
     now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     document = {"type": event.type, "timestamp": now, "data": event.data}
     return json.dumps(document, ensure_ascii=False, separators=(",", ":"))

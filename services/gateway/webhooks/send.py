@@ -29,7 +29,7 @@ _LAST_PORT = 65_535
 _LONGEST_WAIT_S = 86_400.0  # that a receiver may ask for
 
 
-class Refused(Exception):  # noqa: N818 - of the receiver's address, not a fault of ours
+class UrlRefused(Exception):  # noqa: N818 - of the receiver's address, not a fault of ours
     """A URL that no message is sent to."""
 
 
@@ -69,11 +69,11 @@ class Sender:
                 return await self._send(delivery)
         except TimeoutError:
             return Outcome(delivered=False, answer=f"no answer within {TIMEOUT_S:g} s")
-        except (Refused, httpx.HTTPError, OSError, ssl.SSLError) as error:
+        except (UrlRefused, httpx.HTTPError, OSError, ssl.SSLError) as error:
             return Outcome(delivered=False, answer=str(error) or type(error).__name__)
 
     async def check(self, url: str) -> None:
-        """Raises Refused for a URL that no message would be sent to now."""
+        """Raises UrlRefused for a URL that no message would be sent to now."""
         await self._address(httpx.URL(url))
 
     async def _send(self, delivery: Delivery) -> Outcome:
@@ -98,28 +98,33 @@ class Sender:
             return _outcome(response, await _beginning(response))
 
     async def _address(self, url: httpx.URL) -> str:
-        """Return the address to connect to. Raises Refused, OSError where the host has none."""
+        """Return the address to connect to. Raises UrlRefused, OSError where the host has none."""
         if url.scheme != "https" and not (url.scheme == "http" and self._allow_private):
-            raise Refused("the URL must begin with https://")
-        try:
-            named = bool(url.host) and not url.userinfo
-        except UnicodeError:  # of a label that begins as encoded letters, and is none
-            raise Refused("the URL's host is not a host's name") from None
-        if not named:
-            raise Refused("the URL must name a host, and no user")
+            raise UrlRefused("the URL must begin with https://")
+        _check_host(url)
         port = {"http": 80, "https": 443}[url.scheme] if url.port is None else url.port
         if not 0 < port <= _LAST_PORT:  # the look-up of an address takes any number, the connection does not
-            raise Refused(f"the URL's port must be 1 to {_LAST_PORT}")
+            raise UrlRefused(f"the URL's port must be 1 to {_LAST_PORT}")
         loop = asyncio.get_running_loop()
         try:
             found = await loop.getaddrinfo(url.host, port, type=socket.SOCK_STREAM)
         except UnicodeError:  # of a label that is empty, or longer than 63 letters
-            raise Refused(f"{url.host[:80]} is not a host's name") from None
+            raise UrlRefused(f"{url.host[:80]} is not a host's name") from None
         addresses = list(dict.fromkeys(str(entry[4][0]) for entry in found))
         # All of them: a host with one private address among others is no receiver of the internet.
         if not self._allow_private and not all(map(is_public, addresses)):
-            raise Refused(f"{url.host} is not an address of the internet")
+            raise UrlRefused(f"{url.host} is not an address of the internet")
         return addresses[0]
+
+
+def _check_host(url: httpx.URL) -> None:
+    """Raises UrlRefused for a URL without a host, or with a user."""
+    try:
+        named = bool(url.host) and not url.userinfo
+    except UnicodeError:  # of a label that begins as encoded letters, and is none
+        raise UrlRefused("the URL's host is not a host's name") from None
+    if not named:
+        raise UrlRefused("the URL must name a host, and no user")
 
 
 def is_public(address: str) -> bool:

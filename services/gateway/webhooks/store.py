@@ -13,7 +13,14 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
 from capture2vr.gateway.database.database import for_writing
-from capture2vr.gateway.webhooks.outbox import TEST_EVENT, Event, Message, message_from_row, new_message, payload_of
+from capture2vr.gateway.webhooks.outbox import (
+    TEST_EVENT,
+    Message,
+    WebhookEvent,
+    message_from_row,
+    new_message,
+    payload_of,
+)
 from capture2vr.gateway.webhooks.tables import messages, webhooks
 
 OLD_SECRET_S = 86_400.0
@@ -90,7 +97,7 @@ class WebhookStore:
 
     def send_test(self, tenant: str, webhook: str) -> Message:
         """Put a test message for one webhook into the outbox."""
-        event = Event(TEST_EVENT, secrets.token_hex(8), {"webhook": webhook})
+        event = WebhookEvent(TEST_EVENT, secrets.token_hex(8), {"webhook": webhook})
         row = new_message(webhook, tenant, event, payload_of(event), time.time())
         with self._writer.begin() as db:
             db.execute(messages.insert().values(row))

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from capture2vr.order.asset_names import AssetNames
-from capture2vr.storage.bundle import Bundle, Json, content_name, content_type, sha256_hex
-from capture2vr.storage.catalogue.asset_notes import carry
+from capture2vr.storage.bundle import Bundle, Json
+from capture2vr.storage.catalogue.carried_notes import notes_of_next_version
 from capture2vr.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
 from capture2vr.storage.catalogue.entry import (
     DEFAULT_COLLECTION,
@@ -25,8 +25,10 @@ from capture2vr.storage.catalogue.entry import (
     entry_name,
     read_entry,
 )
+from capture2vr.storage.catalogue.job_versions import ends_job, existing_version, raise_fence
 from capture2vr.storage.catalogue.proof import sign_proof
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
+from capture2vr.storage.catalogue.stored_file import StoredFile, put_content
 from capture2vr.storage.catalogue.unity_update import update_unity_catalogues
 from capture2vr.storage.catalogue.update import update_collections
 from capture2vr.storage.catalogue.visibility import Visibility
@@ -34,10 +36,6 @@ from capture2vr.storage.store import Store
 
 SCHEMA = 1
 MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "origin")
-
-
-class StaleFence(Exception):  # noqa: N818 - not a fault: the job has moved to another worker
-    """The job was leased again since this worker began: its fencing token is outdated, its result is discarded."""
 
 
 class KeyElsewhere(Exception):  # noqa: N818 - a fault of who chose the key, not of this program
@@ -52,19 +50,6 @@ class PublishedAsset:
     version: int
     state: str
     manifest: str
-
-
-@dataclass(frozen=True, slots=True)
-class _StoredFile:
-    """A file of the bundle that was written to the store."""
-
-    file: str
-    name: str
-    sha256: str
-    size: int
-
-    def document(self) -> dict[str, Json]:
-        return {"file": self.file, "name": self.name, "sha256": self.sha256, "bytes": self.size}
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +145,7 @@ def publish(
     request = _PublishRequest(job, fence, check_collection(collection), allow_other_collections, visibility, keys)
     present = _entry_or_none(store, check_key(key))
     request.check_not_elsewhere(present)
-    existing = _existing_version(present, bundle, job, fence)
+    existing = existing_version(present, bundle, job, fence)
     is_done = (
         present is not None
         and collection in present.collections
@@ -179,27 +164,12 @@ def publish(
     return asset
 
 
-def _put_file(store: Store, key: str, bundle: Bundle, file: str, proceed: Callable[[], None]) -> _StoredFile:
+def _put_file(store: Store, key: str, bundle: Bundle, file: str, proceed: Callable[[], None]) -> StoredFile:
     proceed()
-    return _put_content(store, key, file, bundle.files[file])
+    return put_content(store, key, file, bundle.files[file])
 
 
-def _put_content(store: Store, key: str, file: str, data: bytes) -> _StoredFile:
-    sha256 = sha256_hex(data)
-    stored = _StoredFile(file, f"assets/{key}/{content_name(file, sha256)}", sha256, len(data))
-    if not _is_stored(store, stored):
-        store.put(stored.name, data, content_type=content_type(file))
-    return stored
-
-
-def _is_stored(store: Store, stored: _StoredFile) -> bool:
-    try:
-        return store.head(stored.name).size == stored.size
-    except FileNotFoundError:
-        return False
-
-
-def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[_StoredFile]) -> _StoredFile:
+def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[StoredFile]) -> StoredFile:
     """Write the manifest. It has no times and no version, so that publishing the same bundle again adds nothing."""
     document = {
         **bundle.manifest,
@@ -209,11 +179,11 @@ def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[_StoredFil
         "lods": _lods(bundle.manifest, files),
         "files": [file.document() for file in files],
     }
-    return _put_content(store, key, "manifest.json", canonical_json(document))
+    return put_content(store, key, "manifest.json", canonical_json(document))
 
 
 def _add_version(
-    store: Store, key: str, bundle: Bundle, files: list[_StoredFile], manifest: _StoredFile, request: _PublishRequest
+    store: Store, key: str, bundle: Bundle, files: list[StoredFile], manifest: StoredFile, request: _PublishRequest
 ) -> PublishedAsset:
     """Add a version to the catalogue entry. Concurrent publishers each get a version number of their own."""
 
@@ -221,9 +191,9 @@ def _add_version(
         present = _entry_or_none(store, key)
         request.check_not_elsewhere(present)
         versions = present.versions if present else []
-        record = _existing_version(present, bundle, request.job, request.fence, manifest.name)
+        record = existing_version(present, bundle, request.job, request.fence, manifest.name)
         if present and record:
-            document = {**present.document, "versions": _raise_fence(versions, record, request.fence)}
+            document = {**present.document, "versions": raise_fence(versions, record, request.fence)}
         else:
             record = _new_record(versions, bundle, manifest.name, request)
             document = _entry_document(key, bundle, files, manifest, record, versions)
@@ -232,7 +202,7 @@ def _add_version(
         document["visibility"] = request.visibility_of(present)
         document |= request.names_of(present, AssetNames.of(bundle.manifest), key).as_json
         if present and present.notes and record not in versions:
-            document["notes"] = _notes(store, present, document, bundle)
+            document["notes"] = notes_of_next_version(store, present, document, bundle)
         if request.keys.signers:
             document["proof"] = sign_proof(key, document, request.keys.signers)
         put_mutable(store, entry_name(key), canonical_json(document), present.etag if present else None)
@@ -241,71 +211,13 @@ def _add_version(
     return retry_on_conflict(attempt)
 
 
-def _notes(store: Store, present: Entry, document: Mapping[str, Json], bundle: Bundle) -> list[dict[str, Any]]:
-    """Return an asset's notes for its next version: carried into its frame where both are of one capture's."""
-    before, after = present.document.get("capture_to_asset"), document.get("capture_to_asset")
-    record = document["versions"][-1]
-    same = record["job"] and record["job"] == present.versions[-1]["job"]
-    if not before or not after or not (same or _capture_of(bundle.manifest) == _capture_in(store, present) != ""):
-        return [each.as_json for each in present.notes]
-    version = int(document["version"])
-    return [
-        (carry(each, before, after, version) if each.frame == present.version else each).as_json
-        for each in present.notes
-    ]
-
-
-def _capture_in(store: Store, present: Entry) -> str:
-    """Return the capture that the current version's recipe names; "" where none does, or its manifest is lost."""
-    try:
-        return _capture_of(json.loads(store.get(present.manifest)))
-    except (FileNotFoundError, ValueError):
-        return ""
-
-
-def _capture_of(manifest: Mapping[str, Any]) -> str:
-    return str((manifest.get("edits") or {}).get("capture") or "")
-
-
-def _existing_version(
-    present: Entry | None, bundle: Bundle, job: str, fence: int, manifest: str = ""
-) -> dict[str, Any] | None:
-    """Return the published version that this bundle would only repeat, or None. Raises StaleFence."""
-    versions = present.versions if present else []
-    if not job:
-        return next((each for each in versions[-1:] if each["manifest"] == manifest), None)
-    job_versions = [each for each in versions if each["job"] == job]
-    newest = max((int(each["fence"]) for each in job_versions), default=fence)
-    if newest > fence:
-        raise StaleFence(f"job {job} was leased again: it has published with fence {newest}, this is fence {fence}")
-    # A first preview that arrives after the job's last version must not replace it: return the last version instead.
-    last = [] if _ends_job(bundle) else [each for each in job_versions if _is_last(each)]
-    same = [each for each in job_versions if (each["state"], _is_last(each)) == (bundle.state, _ends_job(bundle))]
-    return next(iter([*last, *same]), None)
-
-
-def _ends_job(bundle: Bundle) -> bool:
-    """Whether a job publishes nothing after this bundle; a refined one is always the last."""
-    return bundle.last or bundle.state == "refined"
-
-
-def _is_last(record: Mapping[str, Any]) -> bool:
-    """Whether a published version is its job's last. Entries of older workers do not say so."""
-    return bool(record.get("last", record["state"] == "refined"))
-
-
-def _raise_fence(versions: list[dict[str, Any]], record: dict[str, Any], fence: int) -> list[dict[str, Any]]:
-    """Return the versions with `record`'s fence raised, so that the job's earlier worker is refused from now on."""
-    return [{**each, "fence": fence} if each["version"] == record["version"] else each for each in versions]
-
-
 def _new_record(
     versions: list[dict[str, Any]], bundle: Bundle, manifest: str, request: _PublishRequest
 ) -> dict[str, Any]:
     return {
         "version": 1 + max((int(each["version"]) for each in versions), default=0),
         "state": bundle.state,
-        "last": _ends_job(bundle),
+        "last": ends_job(bundle),
         "job": request.job,
         "fence": request.fence,
         "manifest": manifest,
@@ -316,8 +228,8 @@ def _new_record(
 def _entry_document(
     key: str,
     bundle: Bundle,
-    files: list[_StoredFile],
-    manifest: _StoredFile,
+    files: list[StoredFile],
+    manifest: StoredFile,
     record: dict[str, Any],
     versions: list[dict[str, Any]],
 ) -> dict[str, Json]:
@@ -364,7 +276,7 @@ def _entry_or_none(store: Store, key: str) -> Entry | None:
         return None
 
 
-def _lods(manifest: Mapping[str, Json], files: list[_StoredFile]) -> list[dict[str, Any]]:
+def _lods(manifest: Mapping[str, Json], files: list[StoredFile]) -> list[dict[str, Any]]:
     """Return the manifest's levels of detail with each file's object name, hash and size, finest first."""
     documents = {file.file: file.document() for file in files}
     levels = ({**level, **documents[level["file"]]} for level in manifest.get("lods", ()))

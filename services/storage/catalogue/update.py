@@ -8,23 +8,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
-from capture2vr.storage.bundle import sha256_hex
 from capture2vr.storage.catalogue.collection import (
     RETIRED_SHARDS,
     SHARD_ROWS,
     Index,
     Row,
     Shard,
-    describe_shard,
     index_name,
     load_shard,
     parse_envelope,
     read_index,
     row_of,
-    shard_data,
     shard_name,
     sign_index,
 )
@@ -37,6 +33,7 @@ from capture2vr.storage.catalogue.faults import (
     SIGNING_KEY_MISSING,
     CatalogueFault,
 )
+from capture2vr.storage.catalogue.shards import delete_shards, split_rows, write_shards
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.catalogue.visibility import Visibility, lists
 from capture2vr.storage.store import ConditionFailed, Store
@@ -98,7 +95,7 @@ def change_visibility(store: Store, collection: str, visibility: Visibility | No
         earlier = (*present.retired, *(shard.sha256 for shard in present.shards))
         changed = replace(present, visibility=visibility, shards=(), retired=())
         index = _replace_all(store, changed, rows, present.version + 1, keys, etag)
-        _delete(store, collection, earlier)
+        delete_shards(store, collection, earlier)
         return index
 
     return retry_on_conflict(attempt)
@@ -154,7 +151,7 @@ def _replace_row(
         if data is not None and new_rows == list(rows):
             return bool(wanted)
         _check_unchanged(store, collection, etag)
-        new_shards = _write_shards(store, collection, _split_rows(new_rows), present.version + 1)
+        new_shards = write_shards(store, collection, split_rows(new_rows), present.version + 1)
         replaced = [shard.sha256 for shard in present.shards[number : number + 1]]
         shards = (*present.shards[:number], *new_shards, *present.shards[number + 1 :])
         retired = (*present.retired, *replaced)
@@ -253,33 +250,12 @@ def _listed_rows(entries: Iterable[Entry], visibility: Visibility | None) -> lis
     return [row_of(each) for each in entries if lists(visibility, each.visibility)]
 
 
-def _split_rows(rows: Sequence[Row]) -> list[Sequence[Row]]:
-    """Split rows into two halves where they exceed one shard; none are no shard.
-
-    Shards are never merged: few rows ever go, and those of removed assets stay.
-    """
-    if len(rows) <= SHARD_ROWS:
-        return [rows] if rows else []
-    half = len(rows) // 2
-    return [rows[:half], rows[half:]]
-
-
-def _write_shards(store: Store, collection: str, parts: Sequence[Sequence[Row]], version: int) -> list[Shard]:
-    """Write shards to the store, and return the records that the index will list."""
-    shards = []
-    for rows in parts:
-        data = shard_data(rows, version)
-        shards.append(describe_shard(collection, rows, data))
-        store.put(shard_name(collection, sha256_hex(data)), data, content_type="application/json")
-    return shards
-
-
 def _replace_all(
     store: Store, present: Index, rows: Sequence[Row], version: int, keys: Keys, etag: str | None
 ) -> Index:
     """Write an index that lists these rows alone, in place of the present one."""
     parts = [rows[start : start + SHARD_ROWS] for start in range(0, len(rows), SHARD_ROWS)]
-    new_shards = _write_shards(store, present.collection, parts, version)
+    new_shards = write_shards(store, present.collection, parts, version)
     retired = (*present.retired, *(shard.sha256 for shard in present.shards))
     index = Index(present.collection, version, now_iso(), tuple(new_shards), retired, present.visibility)
     return _replace_index(store, index, new_shards, keys, etag)
@@ -292,7 +268,7 @@ def _replace_index(store: Store, index: Index, new_shards: Sequence[Shard], keys
     """
     over = max(0, len(index.retired) - RETIRED_SHARDS)
     # Deleted before the index forgets their names. That is safe: no index ever lists a retired shard again.
-    _delete(store, index.collection, index.retired[:over])
+    delete_shards(store, index.collection, index.retired[:over])
     index = replace(index, retired=index.retired[over:])
     try:
         put_mutable(store, index_name(index.collection), sign_index(index, keys.signers), etag)
@@ -311,10 +287,4 @@ def _delete_unlisted(store: Store, version: int, collection: str, new_shards: Se
     winner = _index_or_none(read_mutable(store, index_name(collection))[0], collection)
     if winner is not None and winner.version >= version:
         known = {*(shard.sha256 for shard in winner.shards), *winner.retired}
-        _delete(store, collection, [shard.sha256 for shard in new_shards if shard.sha256 not in known])
-
-
-def _delete(store: Store, collection: str, hashes: Sequence[str]) -> None:
-    for sha256 in hashes:
-        with suppress(OSError):  # a failed deletion costs only space; it must not fail the publication
-            store.delete(shard_name(collection, sha256))
+        delete_shards(store, collection, [shard.sha256 for shard in new_shards if shard.sha256 not in known])

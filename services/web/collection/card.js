@@ -1,10 +1,10 @@
 // A card of the collection page: an asset's picture, name, labels and state, a box to choose it, and the way to its downloads.
+import { loadManifest } from '../catalogue/signed-catalogue.js';
+import { loadFile } from '../catalogue/verified-cache.js';
 import { create } from '../shared/dom.js';
 import { formatBytes, stateText } from '../shared/format.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
-import { loadManifest } from '../shared/signed-catalogue.js';
 import { t } from '../shared/texts.js';
-import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { AssetFile, Collection, CollectionRow, Manifest } from '../shared/types.d.ts' */

@@ -5,12 +5,12 @@ import { offerManaging, showManaging } from './manage.js';
 import { listScenes } from './scenes.js';
 import { PER_PAGE, search } from './search.js';
 import { summarize } from './summary.js';
+import { hangingOf } from '../catalogue/garments.js';
+import { withNewest } from '../catalogue/signed-catalogue.js';
 import { showAccount } from '../shared/account.js';
 import { element } from '../shared/dom.js';
-import { hangingOf } from '../shared/garments.js';
 import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
-import { withNewest } from '../shared/signed-catalogue.js';
 import { t } from '../shared/texts.js';
 import { ofShownTenant, reloadForOtherTenant } from '../shared/whose.js';
 

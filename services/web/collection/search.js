@@ -1,6 +1,6 @@
 // Search in a collection: the assets of a state, date and size whose name, key or labels contain all words, in an order, a page at a time.
+import { loadRows } from '../catalogue/signed-catalogue.js';
 import { simplify } from '../shared/search-words.js';
-import { loadRows } from '../shared/signed-catalogue.js';
 
 /** @import { Collection, CollectionRow, Shard } from '../shared/types.d.ts' */
 

@@ -1,5 +1,5 @@
 // The camera of a photo: where in the upright photo a place of the thing is, and whether the photo shows it.
-import { loadFile } from '../shared/verified-cache.js';
+import { loadFile } from '../catalogue/verified-cache.js';
 
 /** @import { AssetFile } from '../shared/types.d.ts' */
 

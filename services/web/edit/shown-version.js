@@ -1,14 +1,14 @@
 // A version of an asset as it is edited: its files, its frame, its mesh, and the job that can be run again.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { verticesOf } from './cut-preview.js';
+import { checkEntry } from '../catalogue/signed-catalogue.js';
+import { loadFile } from '../catalogue/verified-cache.js';
 import { CaptureFrame } from '../graphics/capture-frame.js';
 import { prepare } from '../graphics/gpu-warmup.js';
 import { Model } from '../graphics/model.js';
 import { getJson, getVersion } from '../shared/api.js';
 import { Problem } from '../shared/problems.js';
-import { checkEntry } from '../shared/signed-catalogue.js';
 import { t } from '../shared/texts.js';
-import { loadFile } from '../shared/verified-cache.js';
 
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { AssetEntry, AssetFile, Edits, Job, Manifest } from '../shared/types.d.ts' */

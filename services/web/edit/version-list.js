@@ -1,8 +1,8 @@
 // The list of versions: edit from one, compare it with the one that is shown, restore it, download it for another program.
+import { loadDownloads } from '../catalogue/download-list.js';
 import { postJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
-import { loadDownloads } from '../shared/download-list.js';
 import { stateText } from '../shared/format.js';
 import { t } from '../shared/texts.js';
 

@@ -1,12 +1,12 @@
 // Loads GLB files without holding up the page: meshes are decoded by workers and pictures by the browser, the coarsest levels first, and
 // the finer ones whenever the page has nothing else to do.
+import { GLTFLoader } from '../vendor/three-0.187.0.gltf-loader.js';
 import { ktx2 } from './ktx2.js';
 import { meshDecoder } from './mesh-decoder.js';
 import { surfaceLook } from './surface-look.js';
-import { GLTFLoader } from '../vendor/three-0.187.0.gltf-loader.js';
+import { loadFile } from '../catalogue/verified-cache.js';
 import { Problem, undecodable } from '../shared/problems.js';
 import { DECODE_MS, withTimeLimit } from '../shared/time-limits.js';
-import { loadFile } from '../shared/verified-cache.js';
 
 /** @import { Group, WebGLRenderer } from '../vendor/three-0.187.0.module.js' */
 /** @import { LodFile } from '../shared/types.d.ts' */

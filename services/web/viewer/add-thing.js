@@ -1,5 +1,5 @@
 // The panel of the viewer's page that adds a thing of a collection to the scene: pictures to choose from, a search, pages of twelve.
-import { ThingSearch } from './find-things.js';
+import { ThingSearch } from '../scenes/find-things.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
 import { t } from '../shared/texts.js';

@@ -1,13 +1,13 @@
 // The panel of the viewer's page that downloads a thing for other programs, or shows its splats.
+import { loadDownloads, untilMade } from '../catalogue/download-list.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
-import { loadDownloads, untilMade } from '../shared/download-list.js';
 import { fetchBytes } from '../shared/network.js';
 import { t } from '../shared/texts.js';
 import { DOWNLOAD_ANSWER_MS } from '../shared/time-limits.js';
 import { ofShownTenant } from '../shared/whose.js';
 
-/** @import { SceneItem } from './scene-item.js' */
+/** @import { SceneItem } from '../scenes/scene-item.js' */
 /** @import { Download } from '../shared/types.d.ts' */
 
 /** @typedef {(bytes: ArrayBuffer) => Promise<void>} ShowSplats shows the splats of a file on this page */

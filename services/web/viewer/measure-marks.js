@@ -1,8 +1,8 @@
 // The measurements as they stand in the scene: dots, lines and labels, in the frame of the thing.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { drawText } from './text-panel.js';
 import { createDot, createLabel, createLine } from '../graphics/marks.js';
 import { dispose } from '../graphics/scene.js';
+import { drawText } from '../graphics/text-panel.js';
 
 /** @import { Kind } from './measurement.js' */
 

@@ -9,7 +9,7 @@ import { t } from '../shared/texts.js';
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { AssetEntry, Manifest } from '../shared/types.d.ts' */
 /** @import { Accuracy, Kind, Measurement } from './measurement.js' */
-/** @import { SceneItem } from './scene-item.js' */
+/** @import { SceneItem } from '../scenes/scene-item.js' */
 
 /**
  * @typedef {object} MeasuringCallbacks

@@ -1,8 +1,8 @@
 // The notes of a thing as they stand in the scene: numbered pins, the text of the one that is chosen, and all texts in a headset.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { drawText } from './text-panel.js';
 import { createDot, createLabel } from '../graphics/marks.js';
 import { dispose } from '../graphics/scene.js';
+import { drawText } from '../graphics/text-panel.js';
 
 /** @import { Note } from '../shared/types.d.ts' */
 

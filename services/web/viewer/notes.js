@@ -12,7 +12,7 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js' */
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { Note, NoteList, Triple } from '../shared/types.d.ts' */
-/** @import { SceneItem } from './scene-item.js' */
+/** @import { SceneItem } from '../scenes/scene-item.js' */
 /** @typedef {{ at: Triple, normal: Triple }} Spot in the asset frame */
 /** @typedef {{ controls: OrbitControls, redraw: () => void, onStart: () => void }} NotesCallbacks onStart is called before a place is chosen */
 

@@ -1,5 +1,5 @@
 // The panels of the viewer's page for the one thing or the scene that it shows, and who gets them. A panel's module is loaded when the panel is opened.
-import { isLoaded } from './scene-item.js';
+import { isLoaded } from '../scenes/scene-item.js';
 import { attempt } from '../shared/attempt.js';
 import { child, create, element } from '../shared/dom.js';
 import { offline, sentences } from '../shared/problems.js';
@@ -9,7 +9,7 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { Measuring, MeasuringCallbacks } from './measuring.js' */
 /** @import { NotesCallbacks } from './notes.js' */
-/** @import { SceneItem } from './scene-item.js' */
+/** @import { SceneItem } from '../scenes/scene-item.js' */
 /** @import { SceneOffer } from './scene-panel.js' */
 
 const page = {
@@ -83,7 +83,7 @@ function openIfNamed(panel) {
  */
 export function offerDownloads(item, stage, redraw) {
   const show = async (/** @type {ArrayBuffer} */ bytes) => {
-    const { showSplats } = await import('./splats.js');
+    const { showSplats } = await import('../scenes/splats.js');
     if (isLoaded(item)) await showSplats(item, bytes, stage, redraw);
   };
   offer(page.downloads, async () => {

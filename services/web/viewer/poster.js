@@ -1,6 +1,6 @@
 // The poster: the asset's thumbnail, in the middle of the page until the first level of detail is there.
+import { loadFile } from '../catalogue/verified-cache.js';
 import { element } from '../shared/dom.js';
-import { loadFile } from '../shared/verified-cache.js';
 
 /** @import { AssetEntry } from '../shared/types.d.ts' */
 

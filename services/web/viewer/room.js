@@ -1,18 +1,18 @@
 // The scene that the page shows, as something that is saved, named, added to and deleted: a draft on this page, or a document on the server.
-import { showNotice } from './messages.js';
-import { MoveReports, sender } from './move-reports.js';
 import { hidePanelsOfOne, offerAdding, offerScene } from './panels.js';
-import { SavedScene, loadScene } from './saved-scene.js';
-import { isSame } from './scene-merge.js';
-import { isLoaded } from './scene-item.js';
+import { showNotice } from '../scenes/messages.js';
+import { MoveReports, sender } from '../scenes/move-reports.js';
+import { SavedScene, loadScene } from '../scenes/saved-scene.js';
+import { isLoaded } from '../scenes/scene-item.js';
+import { isSame } from '../scenes/scene-merge.js';
 import { deleteAt, postJson } from '../shared/api.js';
 import { Problem, toProblem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 import { ofShownTenant } from '../shared/whose.js';
 
-/** @import { LiveMoves } from './live-moves.js' */
-/** @import { SceneItem } from './scene-item.js' */
-/** @import { SceneContent } from './scene-merge.js' */
+/** @import { LiveMoves } from '../scenes/live-moves.js' */
+/** @import { SceneItem } from '../scenes/scene-item.js' */
+/** @import { SceneContent } from '../scenes/scene-merge.js' */
 /** @import { MovingEvent, PlacedAsset, SceneDocument, Session } from '../shared/types.d.ts' */
 
 /** Most things of a scene, as the server has it. */

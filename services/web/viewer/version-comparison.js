@@ -9,7 +9,7 @@ import { t } from '../shared/texts.js';
 
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { AssetEntry } from '../shared/types.d.ts' */
-/** @import { LoadedItem } from './scene-item.js' */
+/** @import { LoadedItem } from '../scenes/scene-item.js' */
 
 /** Shows an item beside its preview. */
 export class VersionComparison {

@@ -3,42 +3,43 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { startBackdrop } from './backdrop.js';
 import { startCameraKeys } from './camera-orbit.js';
-import { DragControls } from './drag.js';
 import { startFullScreen } from './full-screen.js';
-import { Grabber } from './grab.js';
-import { ItemUpdates, hasFailed, isGone } from './item-updates.js';
-import { placeSideBySide } from './layout-and-lod.js';
-import { LiveMoves } from './live-moves.js';
-import { placeAhead, placeBeside } from './new-place.js';
-import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
 import { offerAbout, offerDownloads, offerManaging, offerMeasuring, offerNotes } from './panels.js';
 import { hidePoster } from './poster.js';
-import { startRenderLoop } from './render-loop.js';
 import { Room } from './room.js';
-import { RoomPlanes } from './room-planes.js';
-import { SceneItem, isLoaded } from './scene-item.js';
-import { Shadows } from './shadows.js';
-import { snapItem } from './snap.js';
-import { findStandingPlace } from './standing-place.js';
-import { context, keys, nextEntry, sceneId, wardrobeOf } from './start.js';
+import { context } from './stage-context.js';
 import { startTurntable } from './turntable.js';
-import { Walker } from './walk.js';
-import { XrInput } from './xr-input.js';
-import { HELP, XrSession } from './xr-session.js';
+import { loadFile } from '../catalogue/verified-cache.js';
 import { pause, prepare } from '../graphics/gpu-warmup.js';
 import { createStage, frame, hintsOf } from '../graphics/scene.js';
+import { Grabber } from '../headset/grab.js';
+import { placeAhead, placeBeside } from '../headset/new-place.js';
+import { RoomPlanes } from '../headset/room-planes.js';
+import { Walker } from '../headset/walk.js';
+import { XrInput } from '../headset/xr-input.js';
+import { HELP, XrSession } from '../headset/xr-session.js';
+import { DragControls } from '../scenes/drag.js';
+import { ItemUpdates, hasFailed, isGone } from '../scenes/item-updates.js';
+import { placeSideBySide } from '../scenes/layout-and-lod.js';
+import { LiveMoves } from '../scenes/live-moves.js';
+import { showCaption, showError, showList, showNotice, showQuickLook } from '../scenes/messages.js';
+import { keys, nextEntry, sceneId, wardrobeOf } from '../scenes/page-address.js';
+import { startRenderLoop } from '../scenes/render-loop.js';
+import { SceneItem, isLoaded } from '../scenes/scene-item.js';
+import { Shadows } from '../scenes/shadows.js';
+import { snapItem } from '../scenes/snap.js';
+import { findStandingPlace } from '../scenes/standing-place.js';
 import { showAccount } from '../shared/account.js';
 import { element } from '../shared/dom.js';
 import { Problem, isConnectionProblem, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { t } from '../shared/texts.js';
-import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
 
-/** @import { PickerWall } from './picker-wall.js' */
-/** @import { LoadedItem } from './scene-item.js' */
+/** @import { PickerWall } from '../headset/picker-wall.js' */
+/** @import { LoadedItem } from '../scenes/scene-item.js' */
 /** @import { VersionComparison } from './version-comparison.js' */
-/** @import { Wardrobe } from './wardrobe.js' */
+/** @import { Wardrobe } from '../wardrobe/wardrobe.js' */
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
 
 const GROUND_M = 100; // of the floor on which one goes from place to place where there is no large scene
@@ -456,7 +457,7 @@ function allowMoving(allowed, item) {
 async function offerWall() {
   wardrobe?.board.offer(renderer.xr.getCamera());
   if (!room.mayAdd) return;
-  const { PickerWall: Wall } = await import('./picker-wall.js');
+  const { PickerWall: Wall } = await import('../headset/picker-wall.js');
   wall ??= new Wall(scene, {
     collection: room.collection,
     onChoose: (key) => room.add(key),
@@ -578,7 +579,7 @@ function retry() {
 
 /** Opens the wardrobe that the page's address names. */
 async function openWardrobe() {
-  const { Wardrobe: Shown } = await import('./wardrobe.js');
+  const { Wardrobe: Shown } = await import('../wardrobe/wardrobe.js');
   page.collection.href = ofShownTenant(`/browse/${encodeURIComponent(wardrobeOf)}`);
   page.move.hidden = true; // true size, on the dummy
   wardrobe = new Shown(wardrobeOf, {

@@ -16,7 +16,7 @@ from capture2vr.edge.points.nouns import Points, TextureView, UnitFrame
 from tests.edge.asset.test_photo_check import CENTRE, EYES, SHEET, SIZE, points, view
 from tests.edge.test_certificate import flat_field
 from tests.support import surfaces
-from tests.support.posed_pictures import photographs, printed, silhouette
+from tests.support.photos.posed_pictures import photographs, printed, silhouette
 
 
 def patch(side: float, x: float, height: float) -> Mesh:

@@ -29,7 +29,7 @@ from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
 from tests.support import surfaces
-from tests.support.posed_pictures import SIDE, photographs, printed
+from tests.support.photos.posed_pictures import SIDE, photographs, printed
 from tests.support.scenes import film, orbit, table_with_sphere
 
 SHEET = printed(surfaces.patch(lambda u, v: [u, v, 0.05 * np.sin(6 * u)], 200, 200))

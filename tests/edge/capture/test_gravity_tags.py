@@ -15,7 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 from capture2vr.edge.capture import photos
 from capture2vr.edge.capture.files import Folder
 from capture2vr.edge.capture.gravity_tags import elevation_deg, up_in_camera
-from tests.support.maker_notes import apple_note
+from tests.support.photos.maker_notes import apple_note
 
 # What Core Motion calls gravity, in g along right, top and out of the screen; clockwise quarter turns; up in the
 # camera's axes (x right, y down, z ahead) of the stored picture.

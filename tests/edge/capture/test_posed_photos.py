@@ -14,7 +14,7 @@ import pytest
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.read_capture import read_capture
-from tests.edge.capture.test_film import HEIGHT, VIEWS, WIDTH, encode
+from tests.edge.films.test_film import HEIGHT, VIEWS, WIDTH, encode
 from tests.support import captures
 
 FRAMES = 40  # of the video

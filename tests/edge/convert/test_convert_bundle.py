@@ -21,7 +21,7 @@ from capture2vr.edge.splats.spz import from_spz, to_spz
 from capture2vr.edge.splats.surface_splats import MOST_SPLATS, cover_with_splats
 from tests.referees.glb_reader import Glb
 from tests.support.downloadable import SHEET, coloured, downloadable, textured, written
-from tests.support.painted import quarters
+from tests.support.photos.painted import quarters
 from tests.support.tilesets import CELLS, hill_bundle, hill_tile, hills
 
 GRID_M = 1e-4  # of compressed positions

@@ -17,9 +17,10 @@ from capture2vr.edge.engine.local_engine import LocalEngine
 from capture2vr.edge.engine.nouns import Needs, Submitted, wait_for_all
 from capture2vr.edge.errors import Cancelled, EdgeError
 from tests.conftest import missing
-from tests.support import engine_tasks, own_network
+from tests.support.network import own_network
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
+from tests.support.workers import engine_tasks
 
 pytestmark = pytest.mark.slow
 
@@ -29,7 +30,7 @@ CANCELLED = {"type": "Cancelled"}
 
 def story(kind: str) -> dict[str, Any]:
     """What `engine_story.py` tells of an engine."""
-    module = "tests.support.engine_story"
+    module = "tests.support.workers.engine_story"
     command: list[str] | None = [sys.executable, "-m", module, kind]
     if kind == "ray":
         command = own_network.command(module, kind)

@@ -23,7 +23,7 @@ from capture2vr.edge.srgb import to_linear, to_srgb
 from tests.referees.usd.reader import Reading, UsdCore
 from tests.referees.usd.reader import usd_core as usd_core
 from tests.support import surfaces
-from tests.support.painted import quarters
+from tests.support.photos.painted import quarters
 
 TRIANGLE = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
 SHEET = surfaces.patch(lambda u, v: [u, v, 0.2 * np.sin(5 * u) * np.cos(4 * v)], 24, 24)

@@ -50,9 +50,9 @@ from capture2vr.storage.store import Store
 from tests.edge.jobs.test_points_archive import prepared_points
 from tests.edge.jobs.test_reconstruct_job import BRIEF, ENDLESS, archive, hemisphere_ply
 from tests.support.captures import write_open3d
-from tests.support.edge_client import Client, Scripted, leftovers, until, worker
 from tests.support.patience import CANCEL_S, PATIENCE_S
 from tests.support.repository import ROOT
+from tests.support.workers.edge_client import Client, Scripted, leftovers, until, worker
 
 pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]
 
@@ -500,7 +500,7 @@ class Process:
 
     def start(self) -> None:
         with self._log.open("ab") as log:
-            command = [sys.executable, "-m", "tests.support.hasty_worker", "edge"]
+            command = [sys.executable, "-m", "tests.support.workers.hasty_worker", "edge"]
             self._running = subprocess.Popen(command, cwd=ROOT, env=self._environment, stdout=log, stderr=log)
 
     def kill(self) -> None:

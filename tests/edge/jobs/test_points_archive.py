@@ -19,7 +19,7 @@ from hypothesis.extra.numpy import arrays
 
 from capture2vr.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PhotoVerdict, PictureCamera, UpSource
 from capture2vr.edge.capture.photo_copy import encode_copy
-from capture2vr.edge.capture_to_points import CaptureSummary, PreparedPoints
+from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.jobs.archived_views import MOST_VIEWS
 from capture2vr.edge.jobs.points_archive import MOST_POINTS, VERSION, read_prepared, write_prepared
@@ -74,7 +74,7 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
         texture_views=(view(0), view(1)) if pictured else (),
         held_out_views=(view(2),) if pictured else (),
     )
-    return PreparedPoints(points, CaptureSummary("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
+    return PreparedPoints(points, CaptureFacts("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
 
 
 @st.composite
@@ -93,9 +93,7 @@ def anything(draw: st.DrawFn) -> PreparedPoints:
     )
     if draw(st.booleans()):
         points = replace(points, rgb=None, up=None, unseen=(), cut=None, up_source=None)
-    source = CaptureSummary(
-        draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40))
-    )
+    source = CaptureFacts(draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40)))
     return PreparedPoints(points, source, draw(st.dictionaries(st.just("POINT_CLOUD"), st.floats(0, 1e6))))
 
 

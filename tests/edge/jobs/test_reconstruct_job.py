@@ -33,8 +33,8 @@ from capture2vr.storage.catalogue.publish import Publish, PublishedAsset, publis
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
-from tests.support.edge_client import Client, leftovers, until, upload, worker
 from tests.support.patience import CANCEL_S, PATIENCE_S
+from tests.support.workers.edge_client import Client, leftovers, until, upload, worker
 
 pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]
 

@@ -20,8 +20,8 @@ from capture2vr.edge.odometry.check_poses import pose_fault
 from capture2vr.edge.odometry.posed_frames import _without_strays, with_poses
 from capture2vr.edge.procrustes import procrustes
 from tests.edge.odometry.test_tracker import off_m, things
+from tests.support.photos.walkaround import film_walkaround
 from tests.support.scenes import Sensor, film, furnished_room, look_around, orbit, table_with_sphere
-from tests.support.walkaround import film_walkaround
 
 PHONE_NOISE = Sensor(noise_m=0.003, flying=0.3)
 THINGS = film(things(), orbit(30, radius=0.8, height=0.6), sensor=PHONE_NOISE)

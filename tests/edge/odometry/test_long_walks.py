@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.odometry import loop_closure
 from capture2vr.edge.odometry.pose_graph import Edge, optimise_poses
-from capture2vr.edge.odometry.pyramid import Level, PackedLevel
+from capture2vr.edge.odometry.pyramid import PackedLevel, PyramidLevel
 from tests.support.scenes import PHONE, look_at
 
 SURE = np.eye(6) * 4e8
@@ -69,10 +69,10 @@ def test_packed_levels_come_back_nearly_exact() -> None:
     rng = np.random.default_rng(0)
     q = rng.uniform(0.1, 5, (48, 64)).astype(np.float32)
     q[:5] = 0
-    level = PackedLevel.of(Level(PHONE, q, rng.random((48, 64), np.float32))).unpacked()
+    level = PackedLevel.of(PyramidLevel(PHONE, q, rng.random((48, 64), np.float32))).unpacked()
     np.testing.assert_allclose(level.inverse_depth, q, rtol=5e-4)
     assert not level.inverse_depth[:5].any()
-    assert PackedLevel.of(Level(PHONE, q, None)).unpacked().grey is None
+    assert PackedLevel.of(PyramidLevel(PHONE, q, None)).unpacked().grey is None
 
 
 def test_far_key_frames_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,7 +85,7 @@ def test_far_key_frames_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> Non
         return overlap(old, points, between)
 
     monkeypatch.setattr(loop_closure, "_overlap", counted)
-    key = PackedLevel.of(Level(PHONE, np.full((PHONE.height, PHONE.width), 0.5, np.float32), None))
+    key = PackedLevel.of(PyramidLevel(PHONE, np.full((PHONE.height, PHONE.width), 0.5, np.float32), None))
     counts = []
     for length in (60, 600):
         asked.clear()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from capture2vr.edge.arrays import Floats, no_tick
 from capture2vr.edge.odometry import loop_closure
-from capture2vr.edge.odometry.features import Features
+from capture2vr.edge.odometry.features import RgbdFeatures
 from capture2vr.edge.odometry.loop_closure import close_loops
 from capture2vr.edge.odometry.place_recognition import similar_pairs
 from capture2vr.edge.odometry.pose_graph import Edge
@@ -17,14 +17,14 @@ from capture2vr.edge.odometry.pyramid import PackedLevel
 from tests.edge.odometry.test_tracker import ORBIT, SENSOR, levels, things
 
 
-def pictures(places: list[int], seed: int) -> list[Features]:
+def pictures(places: list[int], seed: int) -> list[RgbdFeatures]:
     """Features of pictures of places: those of a place are the same but for noise, and some are new each time."""
     found = []
     for number, place in enumerate(places):
         own, new = np.random.default_rng(place), np.random.default_rng((seed, number))
         descriptors = np.concatenate([own.integers(0, 120, (60, 128)), new.integers(0, 120, (40, 128))])
         noisy = np.clip(descriptors + new.normal(0, 8, descriptors.shape), 0, 255).astype(np.uint8)
-        found.append(Features(np.zeros((100, 3), np.float32), noisy))
+        found.append(RgbdFeatures(np.zeros((100, 3), np.float32), noisy))
     return found
 
 
@@ -36,7 +36,7 @@ def test_a_place_is_known_again(order: list[int], seed: int) -> None:
 
 
 def test_pictures_without_features_or_others_to_compare_with_have_no_pair() -> None:
-    seen: list[Features | None] = [*pictures([0, 0, 0, 0], 0)]
+    seen: list[RgbdFeatures | None] = [*pictures([0, 0, 0, 0], 0)]
     olds = [np.array([], int)] * 3 + [np.array([0])]
     assert similar_pairs(seen, olds) == [(0, 3)]
     seen[0] = None

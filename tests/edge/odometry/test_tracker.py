@@ -21,7 +21,7 @@ from capture2vr.edge.odometry import tracker
 from capture2vr.edge.odometry.icp import align
 from capture2vr.edge.odometry.loop_closure import ClosedWay
 from capture2vr.edge.odometry.pose_graph import Edge, optimise_poses
-from capture2vr.edge.odometry.pyramid import Level, pyramid
+from capture2vr.edge.odometry.pyramid import PyramidLevel, pyramid
 from capture2vr.edge.odometry.relocalise import relocalise
 from capture2vr.edge.odometry.tracker import track_frames
 from capture2vr.edge.points.frame_faults import FrameFaults
@@ -58,7 +58,7 @@ def off_m(tracked: tuple[Frame, ...], truth: Floats) -> Floats:
     return np.linalg.norm(eyes - (np.linalg.inv(truth[0]) @ truth)[:, :3, 3], axis=1)
 
 
-def levels(pose: Floats, world: Scene, *, noise_m: float = 0.0, seed: int = 0) -> tuple[Level, ...]:
+def levels(pose: Floats, world: Scene, *, noise_m: float = 0.0, seed: int = 0) -> tuple[PyramidLevel, ...]:
     (frame,) = film(world, pose[None], sensor=Sensor(noise_m=noise_m), seed=seed)
     level = tracker._level(frame, tracker.survey_frames([frame]).limits, FrameFaults())
     assert level is not None

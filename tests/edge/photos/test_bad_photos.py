@@ -19,10 +19,10 @@ from capture2vr.edge.photos.to_depth import to_depth
 from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.progress import Bar, ignore_progress
 from capture2vr.edge.read_capture import read_capture
-from tests.cli.test_run import capture2vr
-from tests.support import bad_photos
+from tests.cli.local.test_run import capture2vr
 from tests.support.captures import FLIP, save_png, steps, write_open3d
-from tests.support.walkaround import Walkaround, render_walkaround
+from tests.support.photos import bad_photos
+from tests.support.photos.walkaround import Walkaround, render_walkaround
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from capture2vr.edge.capture import photos
 from capture2vr.edge.capture.files import open_folder
 from capture2vr.edge.capture.nouns import Photo, PhotoVerdict
 from capture2vr.edge.errors import Cancelled, CaptureError
-from tests.support.walkaround import Walkaround, render_walkaround
+from tests.support.photos.walkaround import Walkaround, render_walkaround
 
 VIEWS = 10
 Spoil = Callable[[np.ndarray], np.ndarray]

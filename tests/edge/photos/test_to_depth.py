@@ -42,7 +42,7 @@ from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
 from tests.support.patience import CANCEL_S
-from tests.support.walkaround import Walkaround, render_walkaround
+from tests.support.photos.walkaround import Walkaround, render_walkaround
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes <-> OpenGL camera axes
 SIZE_M = 0.4  # of the thing that is walked around

@@ -22,13 +22,13 @@ from capture2vr.edge.cameras.features import FAST, features_of, resize_mask
 from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
 from capture2vr.edge.capture_to_points import to_points
 from capture2vr.edge.errors import CaptureError
-from capture2vr.edge.photos.crop import CropBox, crop_photo
+from capture2vr.edge.photos.crop import CropRectangle, crop_photo
 from capture2vr.edge.photos.to_depth import to_depth
 from capture2vr.edge.photos.turntable import axis_up, mask_background
 from capture2vr.edge.points.isolate import isolate_object
 from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.read_capture import read_capture
-from tests.support.turntable import PLATE_RADIUS, Turntable, render_turntable
+from tests.support.photos.turntable import PLATE_RADIUS, Turntable, render_turntable
 
 SIZE_M = 0.4  # of the thing
 
@@ -260,7 +260,7 @@ def test_a_part_of_a_photo_shows_what_the_whole_does_there(
         size = (max(1, round(by * width)), max(1, round(by * height)))
         return cv2.resize(ramp, size, interpolation=cv2.INTER_AREA)
 
-    part = crop_photo(Photo("a", (width, height), "one", load), CropBox(margin, margin, 1 - margin, 1 - margin))
+    part = crop_photo(Photo("a", (width, height), "one", load), CropRectangle(margin, margin, 1 - margin, 1 - margin))
     assert (part.size[0] - width) % 2 == (part.size[1] - height) % 2 == 0
     shown = part.load(longest)
     assert max(shown.shape) <= (longest or 10**9)

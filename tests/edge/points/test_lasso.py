@@ -27,10 +27,10 @@ from capture2vr.edge.capture.nouns import (
     ShownPicture,
 )
 from capture2vr.edge.capture.upright_places import turn_places
-from capture2vr.edge.capture_to_points import CaptureSummary, PreparedPoints, to_points
+from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints, to_points
 from capture2vr.edge.errors import CaptureError, EdgeError
 from capture2vr.edge.jobs.points_archive import read_prepared, write_prepared
-from capture2vr.edge.photos.crop import CropBox, crop_photo
+from capture2vr.edge.photos.crop import CropRectangle, crop_photo
 from capture2vr.edge.photos.upright_photo import UprightPhoto
 from capture2vr.edge.points.edit import cut_away, kept_parts
 from capture2vr.edge.points.lasso import DrawnView, drawn_views, inside, left_out, require_photos
@@ -100,7 +100,7 @@ def test_what_a_line_keeps_and_another_leaves_out_goes() -> None:
 def test_a_place_in_the_upright_photo_is_found_through_turn_lens_and_crop(turns: int) -> None:
     """A point that the lens projects into the stored photo lies where the frame's pinhole and the map put it."""
     whole = Photo("a.jpg", (640, 480), "c", lambda longest=None: np.zeros((480, 640, 3), np.uint8), turns=turns)
-    photo = crop_photo(crop_photo(whole, CropBox(0.1, 0.1, 0.9, 0.9)), CropBox(0.05, 0.0, 0.95, 1.0))
+    photo = crop_photo(crop_photo(whole, CropRectangle(0.1, 0.1, 0.9, 0.9)), CropRectangle(0.05, 0.0, 0.95, 1.0))
     camera = Intrinsics(500.0, 505.0, photo.size[0] / 2 + 3, photo.size[1] / 2 - 4, *photo.size)
     view = PhotoView(photo, camera, (-0.12, 0.05, 0.001, -0.002, 0.01), np.eye(4))
     xyz = np.random.default_rng(0).uniform((-0.3, -0.2, 0.9), (0.3, 0.2, 1.2), (50, 3))
@@ -239,7 +239,7 @@ def test_a_large_scene_is_cut_part_by_part_as_at_once(points: Points) -> None:
 def test_another_worker_gets_no_colours_of_it_either(points: Points, tmp_path: Path) -> None:
     """What is before the lens survives the archive's steps of depth."""
     after = cut(points, lasso(3))
-    write_prepared(PreparedPoints(after, CaptureSummary("rgbd", "synthetic", 12)), tmp_path / "points.zip")
+    write_prepared(PreparedPoints(after, CaptureFacts("rgbd", "synthetic", 12)), tmp_path / "points.zip")
     read = read_prepared(tmp_path / "points.zip", tmp_path / "read").points
     assert read.edits == after.edits
     sent, received = (

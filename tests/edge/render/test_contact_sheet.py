@@ -14,9 +14,9 @@ from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.mesh.normals import vertex_normals
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.render.contact_sheet import render_sheet
-from capture2vr.edge.render.rays import Scene, open_sky, pinhole
+from capture2vr.edge.render.rays import RaycastingScene, open_sky, pinhole
 from tests.support import surfaces
-from tests.support.painted import painted, quarters
+from tests.support.photos.painted import painted, quarters
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +78,7 @@ def test_light_comes_from_above_and_a_cup_is_dark_inside() -> None:
     cup = surfaces.patch(lambda u, v: [np.cos(2 * np.pi * u) / 8, v, np.sin(2 * np.pi * u) / 8], 64, 32)
     normals = vertex_normals(cup).astype(np.float32)
     outward = np.sign(np.einsum("vx,vx->v", normals, cup.vertices * [1, 0, 1]))[:, None] * normals
-    scene, vertices = Scene(cup), cup.vertices.astype(np.float32)
+    scene, vertices = RaycastingScene(cup), cup.vertices.astype(np.float32)
     middle = np.abs(cup.vertices[:, 1]) < 0.1
     assert open_sky(scene, vertices, outward.astype(np.float32), rays=32)[middle].mean() > 0.95
     assert open_sky(scene, vertices, -outward.astype(np.float32), rays=32)[middle].mean() < 0.7
@@ -135,7 +135,7 @@ def test_rays_meet_a_plane_at_its_depth(scale: float) -> None:
     plane = Mesh(np.array([[-9.0, -9, 5], [9, -9, 5], [9, 9, 5], [-9, 9, 5]]) * scale, np.array([[0, 1, 2], [0, 2, 3]]))
     steps = np.linspace(-0.5, 0.5, 17)
     rays = pinhole(steps, steps, *np.eye(3))
-    hits = Scene(plane).cast(np.zeros((1, 3)), rays)
+    hits = RaycastingScene(plane).cast(np.zeros((1, 3)), rays)
     assert (hits.face >= 0).all()
     assert np.allclose(hits.along, 5 * scale, rtol=1e-4)
     met = np.einsum("nc,ncx->nx", hits.bary, plane.vertices[plane.faces[hits.face]])
@@ -143,14 +143,14 @@ def test_rays_meet_a_plane_at_its_depth(scale: float) -> None:
 
 
 def test_rays_that_miss_say_so() -> None:
-    hits = Scene(surfaces.disk()).cast(np.array([[0.0, 0, 3]]), np.array([[0.0, 0, 1], [0, 0, -1]]))
+    hits = RaycastingScene(surfaces.disk()).cast(np.array([[0.0, 0, 3]]), np.array([[0.0, 0, 1], [0, 0, -1]]))
     assert hits.face[0] == -1
     assert np.isinf(hits.along[0])
     assert hits.along[1] == pytest.approx(3, rel=1e-4)
 
 
 def test_a_thing_blocks_a_ray_only_within_reach() -> None:
-    scene = Scene(surfaces.disk())
+    scene = RaycastingScene(surfaces.disk())
     start, ray = np.array([[0.1, 0.1, 1.0]]), np.array([[0.0, 0, -1]])
     assert scene.blocked(start, ray, 1.1).all()
     assert not scene.blocked(start, ray, 0.9).any()

@@ -15,18 +15,18 @@ from PIL import Image
 
 from capture2vr.edge.arrays import Bools
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.render.marked_picture import marked_jpeg
 from capture2vr.edge.render.photo_comparison import (
     LikenessCheck,
     PhotoFigures,
     SurfaceCheck,
     check_likeness,
     check_surface,
-    marked_jpeg,
     mean_figures,
 )
 from capture2vr.edge.render.posed_picture import PosedPicture
 from tests.support import surfaces
-from tests.support.posed_pictures import SIDE, photograph, photographs, print_on, printed, silhouette
+from tests.support.photos.posed_pictures import SIDE, photograph, photographs, print_on, printed, silhouette
 
 
 def sheet(cells: int) -> Mesh:

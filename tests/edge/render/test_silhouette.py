@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from capture2vr.edge.mesh.nouns import Mesh
-from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.render.silhouette import cast_pixels, outside_outlines
 from tests.support import surfaces
-from tests.support.posed_pictures import photographs, printed
+from tests.support.photos.posed_pictures import photographs, printed
 
 RIM = 0.03  # width: four pixels of the photos
 EYES = [(0.5, 0.2, 1.4), (-0.3, 0.4, 1.4), (0.1, -0.5, 1.3), (-0.4, -0.3, 1.5), (0.0, 0.0, 1.6)]
@@ -43,7 +43,7 @@ def test_a_thing_without_rims_keeps_everything() -> None:
 )
 def test_rays_are_cast_wherever_the_mesh_may_be_seen(eye: tuple[float, float, float]) -> None:
     """From afar, from near, and from where a part of the mesh is behind the camera."""
-    (picture,), scene = photographs(THING, [eye]), Scene(THING)
+    (picture,), scene = photographs(THING, [eye]), RaycastingScene(THING)
     hits, rays = cast_pixels(picture, scene, 160, 120)
     every = scene.cast(picture.eye[None], rays)
     on = every.face >= 0

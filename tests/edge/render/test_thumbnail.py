@@ -15,7 +15,7 @@ from capture2vr.edge.arrays import Bools, Bytes, Floats
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.render.thumbnail import THUMBNAIL_BYTES, TURNING_BYTES, thumbnail, turning_preview
 from tests.support import surfaces
-from tests.support.painted import jpeg, painted, quarters
+from tests.support.photos.painted import jpeg, painted, quarters
 
 WEDGE = Mesh(  # convex, and no two of its sides look alike
     np.array([[-1.0, 0, -0.3], [-1, 0, 0.3], [1, 0, -0.3], [1, 0, 0.5], [0.8, 0.9, 0.1]]),

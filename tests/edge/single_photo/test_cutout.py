@@ -15,14 +15,14 @@ from capture2vr.edge.arrays import Bools, Bytes
 from capture2vr.edge.capture.nouns import Photo
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.read_capture import read_capture
-from capture2vr.edge.render.rays import Scene, pinhole
+from capture2vr.edge.render.rays import RaycastingScene, pinhole
 from capture2vr.edge.single_photo.cutout import CutOut, cut_out
 from capture2vr.edge.single_photo.plain_background import segment_by_colour
 from capture2vr.edge.single_photo.proposal import propose
 from capture2vr.edge.single_photo.saliency import saliency
 from capture2vr.order.photo_box import PhotoBox
-from tests.support.single_photos import photo
-from tests.support.walkaround import render_walkaround
+from tests.support.photos.single_photos import photo
+from tests.support.photos.walkaround import render_walkaround
 
 W, H = 400, 300
 VIEWS = 4
@@ -64,7 +64,7 @@ def two_discs() -> tuple[Bytes, Bools, Bools]:
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Photo, Bools]]:
     """Photos of a thing on a patterned table with boxes around it, each with the thing's mask."""
     walk = render_walkaround(tmp_path_factory.mktemp("scenes"), views=VIEWS, size=(480, 360))
-    camera, thing = walk.intrinsics, Scene(walk.thing)
+    camera, thing = walk.intrinsics, RaycastingScene(walk.thing)
     x, y = (
         ((np.arange(side) - middle) / camera.fx).astype(np.float32)
         for side, middle in ((camera.width, camera.cx), (camera.height, camera.cy))

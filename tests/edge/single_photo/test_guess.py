@@ -51,7 +51,7 @@ from tests.bench.single_photo_training.weight_files import (
     save_half,
     training_of,
 )
-from tests.support.single_photos import photo
+from tests.support.photos.single_photos import photo
 
 CPU = torch.device("cpu")
 W, H = 400, 300

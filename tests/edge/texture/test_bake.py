@@ -16,7 +16,7 @@ from capture2vr.edge.errors import Cancelled
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.mesh.simplify import simplify
-from capture2vr.edge.render.rays import Scene
+from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.srgb import to_linear
 from capture2vr.edge.texture import texture_mesh
 from capture2vr.edge.texture import unwrap as unwrapping
@@ -56,7 +56,7 @@ def shown(glb: bytes, places: np.ndarray) -> np.ndarray:
     """(N,3) sRGB that another program's reader finds at places on the sheet."""
     read = trimesh.load(io.BytesIO(glb), file_type="glb", force="mesh", process=False)
     above = places + np.array([0, 0, 1])
-    hits = Scene(Mesh(np.asarray(read.vertices), np.asarray(read.faces))).cast(
+    hits = RaycastingScene(Mesh(np.asarray(read.vertices), np.asarray(read.faces))).cast(
         above, np.array([[0, 0, -1.0]] * len(above))
     )
     uv = np.einsum("nc,ncx->nx", hits.bary, read.visual.uv[read.faces[hits.face]])

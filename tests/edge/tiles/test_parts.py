@@ -13,7 +13,7 @@ from capture2vr.edge.engine.nouns import Engine, Needs
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.progress import Bar, Progress, Watch, ignore_progress
 from capture2vr.edge.tiles.parts import TRIES, PartWork, Span, run_parts
-from tests.support import engine_tasks
+from tests.support.workers import engine_tasks
 
 PLACES = ("here", "side by side")
 

@@ -96,8 +96,8 @@ def test_a_tile_of_slivers_alone_is_empty(made: Made) -> None:
     """A surface may reach into a tile by less than what positions are rounded to."""
     corner = made[0].grid.corner_of((1, 0, 0)) + 5
     sliver = Mesh(corner + np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-4, 0]]), np.array([[0, 1, 2]]))
-    rgb = np.full((3, 3), 90, np.uint8)
-    level = tile_level(no_tick, sliver, sliver.vertices, rgb, [red_picture()], made[0].grid, (1, 0, 0), NO_TARGET)
+    points = Cloud(sliver.vertices, np.full((3, 3), 90, np.uint8))
+    level = tile_level(no_tick, sliver, points, [red_picture()], made[0].grid, (1, 0, 0), NO_TARGET)
     assert (len(level.mesh.faces), level.content) == (0, b"")
 
 

@@ -24,9 +24,9 @@ from capture2vr.edge.worker.settings import EdgeSettings, central_credentials, s
 from capture2vr.process.grpc_security import NO_CREDENTIALS, ClientCredentials, certificate_host
 from capture2vr.process.strict_settings import SettingsError
 from tests.edge.jobs.test_forward_job import QUICK, Standing
-from tests.support.edge_client import Client, Scripted, header_of
+from tests.support.network.tls_certificates import DAY, TOKEN, Authority, key_pem
 from tests.support.patience import PATIENCE_S
-from tests.support.tls_certificates import DAY, TOKEN, Authority, key_pem
+from tests.support.workers.edge_client import Client, Scripted, header_of
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from capture2vr.edge.worker.job_request import RefusedError
 from capture2vr.edge.worker.scratch import Scratch
 from capture2vr.order.download_formats import FORMATS
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
-from tests.support.edge_client import Client, Scripted, leftovers, until, worker
+from tests.support.workers.edge_client import Client, Scripted, leftovers, until, worker
 
 SHA256 = "5" * 64
 

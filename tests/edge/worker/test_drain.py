@@ -15,9 +15,9 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from tests.support.edge_client import Client, leftovers, upload
 from tests.support.patience import HANG_S, PATIENCE_S
 from tests.support.repository import ROOT
+from tests.support.workers.edge_client import Client, leftovers, upload
 
 pytestmark = pytest.mark.slow
 
@@ -55,7 +55,12 @@ async def process(scratch: Path, **settings: object) -> AsyncIterator[Process]:
         f"EDGE_{name.upper()}": str(value) for name, value in {"port": 0, "scratch": scratch, **settings}.items()
     }
     started = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "tests.support.scripted_worker", cwd=ROOT, env={**os.environ, **variables}, stderr=-1
+        sys.executable,
+        "-m",
+        "tests.support.workers.scripted_worker",
+        cwd=ROOT,
+        env={**os.environ, **variables},
+        stderr=-1,
     )
     worker = Process(started)
     try:

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.edge.capture import test_colmap, test_posed_photos
-from tests.edge.capture.test_film import FILMS, VIEWS
-from tests.support import captures, private_pictures
+from tests.edge.films.test_film import FILMS, VIEWS
+from tests.edge.recordings import test_colmap, test_posed_photos
+from tests.support import captures
 from tests.support.fresh_process import run_fresh
+from tests.support.photos import private_pictures
 
 pytestmark = pytest.mark.slow
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import grpc
 import pytest
 
-from tests.support.edge_client import Client, until, upload
-from tests.support.guarded_worker import children, count_kills
 from tests.support.patience import PATIENCE_S
 from tests.support.repository import ROOT
+from tests.support.workers.edge_client import Client, until, upload
+from tests.support.workers.guarded_worker import children, count_kills
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="control groups are Linux's")]
 
@@ -57,7 +57,7 @@ class Guarded:
 async def guarded(folder: Path) -> AsyncIterator[Guarded]:
     count_kills(folder, 3)
     variables = {**os.environ, "EDGE_PORT": "0", "EDGE_SCRATCH": str(folder / "scratch")}
-    command = (sys.executable, "-m", "tests.support.guarded_worker", str(folder))
+    command = (sys.executable, "-m", "tests.support.workers.guarded_worker", str(folder))
     process = await asyncio.create_subprocess_exec(*command, cwd=ROOT, env=variables, stderr=asyncio.subprocess.PIPE)
     try:
         yield Guarded(process)

@@ -30,7 +30,7 @@ async def test_a_worker_tells_of_its_jobs(tmp_path: Path, unused_tcp_port_factor
     store = LocalStore(tmp_path / "objects")
     port, metrics_port = unused_tcp_port_factory(), unused_tcp_port_factory()
     edge = ServiceProcess(
-        "tests.support.scripted_work_worker",
+        "tests.support.workers.scripted_work_worker",
         tmp_path / "edge.log",
         EDGE_PORT=port,
         EDGE_METRICS_PORT=metrics_port,
@@ -72,7 +72,7 @@ async def test_a_worker_tells_of_its_jobs(tmp_path: Path, unused_tcp_port_factor
 def test_a_port_that_is_taken_is_named(tmp_path: Path, unused_tcp_port: int) -> None:
     begin = partial(
         ServiceProcess,
-        "tests.support.scripted_work_worker",
+        "tests.support.workers.scripted_work_worker",
         EDGE_PORT=0,
         EDGE_METRICS_PORT=unused_tcp_port,
         STORAGE_ROOT=tmp_path,

@@ -19,8 +19,8 @@ from capture2vr.edge.worker import job_queue as runs_module
 from capture2vr.edge.worker.checkpoint_files import CheckpointFiles
 from capture2vr.edge.worker.job_request import RefusedError
 from capture2vr.edge.worker.server import SERVICE
-from tests.support.edge_client import Client, Scripted, leftovers, until, upload, worker
 from tests.support.patience import CANCEL_S, PATIENCE_S
+from tests.support.workers.edge_client import Client, Scripted, leftovers, until, upload, worker
 
 
 def raising(error: BaseException) -> Callable[[], None]:

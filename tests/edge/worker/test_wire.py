@@ -20,8 +20,18 @@ from capture2vr.edge.worker import authentication
 from capture2vr.edge.worker import upload as upload_module
 from capture2vr.edge.worker.job_request import RefusedError
 from capture2vr.edge.worker.upload import receive
-from tests.support.edge_client import Client, Scripted, data_of, header_of, leftovers, trailer_of, until, upload, worker
 from tests.support.repository import ROOT
+from tests.support.workers.edge_client import (
+    Client,
+    Scripted,
+    data_of,
+    header_of,
+    leftovers,
+    trailer_of,
+    until,
+    upload,
+    worker,
+)
 
 ARCHIVE = b"ticks 2"
 LIMIT_BYTES = 1_000_000

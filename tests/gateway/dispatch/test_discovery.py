@@ -27,8 +27,8 @@ from tests.support.in_process_gateway import (
     until,
     worker,
 )
+from tests.support.network.tls_certificates import TOKEN, Authority
 from tests.support.patience import PATIENCE_S
-from tests.support.tls_certificates import TOKEN, Authority
 
 
 @contextmanager

@@ -18,8 +18,8 @@ from capture2vr.gateway.database.database import create_engine
 from capture2vr.gateway.jobs.tables import jobs
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.memory import MemoryStore
-from tests.support.away_store import AwayStore
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, job_when, memory, start, worker
+from tests.support.network.away_store import AwayStore
 
 pytestmark = pytest.mark.slow
 

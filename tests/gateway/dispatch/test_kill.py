@@ -19,10 +19,10 @@ import pytest
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.local import LocalStore
 from tests.support import in_process_gateway
-from tests.support.guarded_worker import children, count_kills
 from tests.support.in_process_gateway import capture
 from tests.support.patience import PATIENCE_S
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
+from tests.support.workers.guarded_worker import children, count_kills
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +36,7 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
     edge_port, gateway_port = unused_tcp_port_factory(), unused_tcp_port_factory()
     shared = {"STORAGE_ROOT": store.root, "OMP_NUM_THREADS": 1}
     edge = ServiceProcess(
-        "tests.support.scripted_work_worker",
+        "tests.support.workers.scripted_work_worker",
         tmp_path / "edge.log",
         EDGE_PORT=edge_port,
         EDGE_SLOTS=2,
@@ -88,7 +88,7 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
 async def test_a_job_that_kills_its_workers_fails_by_name(tmp_path: Path, unused_tcp_port: int) -> None:
     store = LocalStore(tmp_path / "objects")
     edge = ServiceProcess(
-        "tests.support.scripted_work_worker",
+        "tests.support.workers.scripted_work_worker",
         tmp_path / "edge.log",
         EDGE_PORT=unused_tcp_port,
         EDGE_SCRATCH=tmp_path / "scratch",
@@ -115,7 +115,7 @@ async def test_a_job_whose_worker_ran_out_of_memory_says_so(tmp_path: Path, unus
     store = LocalStore(tmp_path / "objects")
     count_kills(tmp_path, 0)
     edge = ServiceProcess(
-        "tests.support.guarded_worker",
+        "tests.support.workers.guarded_worker",
         tmp_path / "edge.log",
         str(tmp_path),
         EDGE_PORT=unused_tcp_port,

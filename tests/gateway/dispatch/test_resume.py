@@ -48,7 +48,7 @@ async def test_a_training_goes_on_elsewhere_where_it_was(
     ports = unused_tcp_port_factory(), unused_tcp_port_factory()
     begin = partial(
         ServiceProcess,
-        "tests.support.hasty_worker",
+        "tests.support.workers.hasty_worker",
         tmp_path / "edge.log",
         "edge",
         EDGE_SCRATCH=tmp_path / "scratch",

@@ -32,10 +32,10 @@ from capture2vr.storage.store import Store, list_all
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import s3_store
-from tests.support import private_pictures
-from tests.support.away_store import AwayStore
 from tests.support.in_process_gateway import listening, until
+from tests.support.network.away_store import AwayStore
 from tests.support.patience import PATIENCE_S
+from tests.support.photos import private_pictures
 from tests.support.tenants import make_key, two_tenants
 from tests.support.tus import PART, TUS, checksum, cloud, create, created, cut, finish, metadata, offset_of, patch
 

@@ -24,7 +24,7 @@ from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Store, list_all
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.in_process_gateway import ended, gateway, memory, start, until
-from tests.support.receivers import receiver
+from tests.support.network.receivers import receiver
 from tests.support.tenants import make_key, publish_for, two_tenants
 
 _HEAD = b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property float %c\n" % axis for axis in b"xyz")

@@ -26,9 +26,9 @@ from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.downloadable import SHEET, SLATE, downloadable
 from tests.support.in_process_gateway import gateway, memory, until, worker
-from tests.support.scripted_work import Making
 from tests.support.tenants import two_tenants
 from tests.support.tilesets import hill_bundle
+from tests.support.workers.scripted_work import Making
 
 
 class Converting(Making):

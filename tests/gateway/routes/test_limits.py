@@ -13,8 +13,8 @@ import pytest
 from capture2vr.gateway.access import usage
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.tenant_store import store_of_tenant
-from tests.support.away_store import AwayStore
 from tests.support.in_process_gateway import capture, memory
+from tests.support.network.away_store import AwayStore
 from tests.support.tenants import TwoTenants, publish_for, two_tenants
 
 _HEAD = b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property float %c\n" % axis for axis in b"xyz")

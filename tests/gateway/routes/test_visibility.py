@@ -19,8 +19,8 @@ from capture2vr.storage.tenant_store import store_of_tenant
 from tests.gateway.routes.test_access import code_of
 from tests.support.bundles import bundle
 from tests.support.in_process_gateway import capture, ended, gateway, start, until, worker
-from tests.support.scripted_work import Making
 from tests.support.tenants import TwoTenants, bearer, make_key, publish_for, two_tenants
+from tests.support.workers.scripted_work import Making
 
 PRIVATE, UNLISTED, PUBLIC = Visibility
 ASSET, LIST = "/v1/assets/dress", "/v1/collections/default"

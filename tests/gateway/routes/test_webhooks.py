@@ -12,9 +12,9 @@ from standardwebhooks import Webhook
 from capture2vr.gateway.webhooks import outbox
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.in_process_gateway import capture, ended, gateway, memory, start, worker
-from tests.support.receivers import receiver
-from tests.support.scripted_work import Making
+from tests.support.network.receivers import receiver
 from tests.support.tenants import publish_for, two_tenants
+from tests.support.workers.scripted_work import Making
 
 
 async def create(client: httpx.AsyncClient, url: str, *events: str) -> dict[str, str]:

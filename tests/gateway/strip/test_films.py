@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from capture2vr.gateway.strip import matroska, mp4
 from capture2vr.gateway.strip.in_place import CleanResult, UnreadableError
-from tests.support import private_pictures
-from tests.support.private_pictures import EBML, OPEN, OWNER, PLACE, box, element, handler
+from tests.support.photos import private_pictures
+from tests.support.photos.private_pictures import EBML, OPEN, OWNER, PLACE, box, element, handler
 
 FRAMES = b"FRAMES" * 10
 JUNK = PLACE * 2

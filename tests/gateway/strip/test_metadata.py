@@ -24,9 +24,9 @@ from capture2vr.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, t
 from capture2vr.gateway.strip.exif import clean_exif
 from capture2vr.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
 from capture2vr.order.apple_maker_note import read_acceleration
-from tests.support import private_pictures
-from tests.support.maker_notes import SECRET, apple_note
-from tests.support.private_pictures import (
+from tests.support.photos import private_pictures
+from tests.support.photos.maker_notes import SECRET, apple_note
+from tests.support.photos.private_pictures import (
     EXIF_IFD,
     FOCAL_35MM,
     FOCAL_LENGTH,

@@ -30,9 +30,9 @@ from capture2vr.process.archives import unpack
 from capture2vr.storage.bundle import sha256_hex
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Head
-from tests.support import private_pictures
 from tests.support.in_process_gateway import answering
 from tests.support.patience import HANG_S
+from tests.support.photos import private_pictures
 
 BOUNDARY = "boundary"
 CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"

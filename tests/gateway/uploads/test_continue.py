@@ -14,8 +14,8 @@ from capture2vr.process.archives import unpack
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Store, list_all
 from capture2vr.storage.tenant_store import store_of_tenant
-from tests.support import private_pictures
 from tests.support.in_process_gateway import gateway, memory
+from tests.support.photos import private_pictures
 from tests.support.tenants import two_tenants
 from tests.support.tus import cloud, created, finish, patch
 

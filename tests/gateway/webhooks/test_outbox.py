@@ -12,11 +12,11 @@ from sqlalchemy.engine import Engine
 
 from capture2vr.gateway.access.store import AccessStore
 from capture2vr.gateway.database.database import open_engine
-from capture2vr.gateway.webhooks.outbox import DELAYS_S, EVENTS, KEEP_S, PLACES_A_TENANT, Delivery, Event, Outbox
+from capture2vr.gateway.webhooks.outbox import DELAYS_S, EVENTS, KEEP_S, PLACES_A_TENANT, Delivery, Outbox, WebhookEvent
 from capture2vr.gateway.webhooks.store import WebhookStore
 
 LATE = time.time() + 1e6
-EVENT = Event("job.succeeded", "job_1 7", {"job": "job_1"})
+EVENT = WebhookEvent("job.succeeded", "job_1 7", {"job": "job_1"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def test_a_message_is_claimed_by_one_of_many_and_by_another_when_that_one_died(b
 def test_one_at_a_time_to_each_webhook_the_oldest_first(box: Box) -> None:
     one, two = box.hook(), box.hook()
     for number in range(3):
-        box.outbox.enqueue("ada", Event("job.failed", str(number), {"number": number}))
+        box.outbox.enqueue("ada", WebhookEvent("job.failed", str(number), {"number": number}))
     claimed = box.outbox.claim(LATE, 10, set())
     assert {each.message.webhook for each in claimed} == {one, two}
     assert all('"number":0' in each.message.payload for each in claimed)
@@ -86,7 +86,7 @@ def test_of_several_webhooks_the_one_that_has_waited_longest_is_first(box: Box) 
     kinds = {box.hook("ada", kind): kind for kind in EVENTS}
     order = sorted(kinds, reverse=True)  # against the order in which a database groups them
     for hook in order:
-        box.outbox.enqueue("ada", Event(kinds[hook], "x", {}))
+        box.outbox.enqueue("ada", WebhookEvent(kinds[hook], "x", {}))
     assert hooks_of(box.outbox.claim(LATE, 1, set())) == order[:1]
     assert hooks_of(box.outbox.claim(LATE, 3, {order[0]})) == order[1:4]
 
@@ -94,7 +94,7 @@ def test_of_several_webhooks_the_one_that_has_waited_longest_is_first(box: Box) 
 def test_a_tenant_with_many_dead_webhooks_leaves_places_to_others(box: Box) -> None:
     dead = {box.hook("ada") for _ in range(20)}
     for number in range(3):
-        box.outbox.enqueue("ada", Event("job.failed", str(number), {}))
+        box.outbox.enqueue("ada", WebhookEvent("job.failed", str(number), {}))
     bobs = box.hook("bob")
     box.outbox.enqueue("bob", EVENT)
     claimed = hooks_of(box.outbox.claim(LATE, 16, set()))
@@ -111,7 +111,7 @@ def test_the_next_place_is_for_the_tenant_that_has_the_fewest(box: Box) -> None:
     """However many tenants have webhooks that do not answer, and however long their messages have waited."""
     two, one = sorted((box.hook("ada"), box.hook("ada")))
     for number in range(3):
-        box.outbox.enqueue("ada", Event("job.failed", str(number), {}))
+        box.outbox.enqueue("ada", WebhookEvent("job.failed", str(number), {}))
     while (bobs := box.hook("bob")) < two:  # a database that groups by webhook would begin with the least
         box.hooks.delete("bob", bobs)
     box.outbox.enqueue("bob", EVENT)
@@ -152,7 +152,7 @@ def test_a_disabled_webhook_keeps_its_messages_until_it_is_enabled(box: Box) -> 
     hook = box.hook()
     box.outbox.enqueue("ada", EVENT)
     box.outbox.disable(hook, time.time())
-    box.outbox.enqueue("ada", Event("job.failed", "job_2 3", {}))
+    box.outbox.enqueue("ada", WebhookEvent("job.failed", "job_2 3", {}))
     assert box.outbox.claim(LATE, 9, set()) == []
     assert box.outbox.next_due() is None
     box.hooks.set_disabled("ada", hook, disabled=False)

@@ -19,8 +19,8 @@ from capture2vr.gateway.webhooks import send
 from capture2vr.gateway.webhooks.outbox import Delivery, Message
 from capture2vr.gateway.webhooks.send import Outcome, Sender, is_public
 from capture2vr.gateway.webhooks.store import new_secret
-from tests.support.receivers import receiver
-from tests.support.tls_certificates import Authority
+from tests.support.network.receivers import receiver
+from tests.support.network.tls_certificates import Authority
 
 
 def delivery(url: str, *secrets: str) -> Delivery:

@@ -14,7 +14,8 @@ import pytest
 
 from capture2vr.storage.bundle import FilesOnDisk
 from capture2vr.storage.catalogue.entry import Entry, alias_name, list_keys, read_entry, valid_key
-from capture2vr.storage.catalogue.publish import StaleFence, publish
+from capture2vr.storage.catalogue.job_versions import StaleFence
+from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import IMMUTABLE, NO_CACHE, Store, list_all

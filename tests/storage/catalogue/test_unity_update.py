@@ -20,7 +20,7 @@ from capture2vr.storage.unity.locations import parse_assets
 from capture2vr.storage.unity.nouns import Asset
 from capture2vr.storage.unity.publication import catalogue_hash, catalogue_names
 from tests.support.bundles import bundle
-from tests.support.unity_binary_reader import read_binary_catalogue
+from tests.support.clients.unity_binary_reader import read_binary_catalogue
 
 
 @pytest.fixture

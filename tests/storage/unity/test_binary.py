@@ -11,7 +11,7 @@ import pytest
 from capture2vr.storage.unity.json_reader import read_json_catalogue
 from capture2vr.storage.unity.listing import BUNDLE_RESOURCE
 from capture2vr.storage.unity.nouns import BASE_URL, Catalogue
-from tests.support.unity_catalogues import asset, catalogue, written
+from tests.support.clients.unity_catalogues import asset, catalogue, written
 
 
 def test_the_smallest_binary_catalogue_byte_by_byte() -> None:

@@ -17,7 +17,17 @@ from capture2vr.storage.unity.nouns import BASE_URL, Asset, Catalogue
 from capture2vr.storage.unity.publication import catalogue_files, catalogue_hash, catalogue_names
 from tests.referees.addressables.reader import AddressablesTools
 from tests.referees.addressables.reader import addressables_tools as addressables_tools
-from tests.support.unity_catalogues import FORMS, asset, catalogue, catalogues, in_order, lod, many, reader, written
+from tests.support.clients.unity_catalogues import (
+    FORMS,
+    asset,
+    catalogue,
+    catalogues,
+    in_order,
+    lod,
+    many,
+    reader,
+    written,
+)
 
 every_form = pytest.mark.parametrize("form", FORMS)
 

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from capture2vr.storage.unity.json_reader import read_json_catalogue
 from capture2vr.storage.unity.listing import Listing
 from capture2vr.storage.unity.locations import parse_assets
-from tests.support.unity_binary_reader import read_binary_catalogue
-from tests.support.unity_catalogues import FORMS, asset, catalogue, reader, written
+from tests.support.clients.unity_binary_reader import read_binary_catalogue
+from tests.support.clients.unity_catalogues import FORMS, asset, catalogue, reader, written
 
 every_form = pytest.mark.parametrize("form", FORMS)
 _MADE = catalogue(asset("dress", "clothes"), asset("ä", "clothes", levels=1))

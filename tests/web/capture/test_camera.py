@@ -17,9 +17,9 @@ from playwright.sync_api import Browser, Page, expect
 
 from capture2vr.edge.arrays import Bytes
 from capture2vr.gateway.jobs.capture_objects import capture_name
-from tests.support.camera_films import middle_of, rest, step, view_of, write_film
 from tests.support.chromium import launch_with_camera
 from tests.support.pages import await_data
+from tests.support.photos.camera_films import middle_of, rest, step, view_of, write_film
 from tests.support.sites import Site
 from tests.web.conftest import PATIENCE_MS, without_a_past
 

@@ -13,11 +13,11 @@ pytestmark = pytest.mark.browser
 
 SEASONS = ["spring", "summer", "autumn", "winter"]
 _ASK = """async ([name, each]) => {
-    const garments = await import('/web/shared/garments.js');
+    const garments = await import('/web/catalogue/garments.js');
     return each.map((args) => garments[name](...args));
 }"""
 _SEASONS_OF_DAYS = """async (zone) => {
-    const { seasonOf } = await import('/web/shared/garments.js');
+    const { seasonOf } = await import('/web/catalogue/garments.js');
     return Array.from({ length: 366 }, (_, day) => seasonOf(new Date(2028, 0, 1 + day, 12), zone));
 }"""
 

@@ -17,12 +17,12 @@ pytestmark = pytest.mark.browser
 
 Outline = Sequence[tuple[float, float, float]]
 _FIT = """async (cases) => {
-    const { fitGarment, measureGarment } = await import('/web/viewer/garment-fit.js');
+    const { fitGarment, measureGarment } = await import('/web/wardrobe/garment-fit.js');
     return cases.map(([corners, hanging]) => fitGarment(measureGarment(corners), hanging));
 }"""
 _TORSO = "async () => (await import('/web/graphics/dress-dummy.js')).TORSO"
 _CAN_HANG = (
-    "async (sizes) => { const { canHang } = await import('/web/viewer/garment-fit.js'); return sizes.map(canHang); }"
+    "async (sizes) => { const { canHang } = await import('/web/wardrobe/garment-fit.js'); return sizes.map(canHang); }"
 )
 BUST_M, WAIST_M = 1.24, 1.04
 

@@ -235,7 +235,7 @@ MEDDLED = [
 def test_what_the_browser_remembers_is_checked_and_bounded(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/browse/default")
     read = """async (kept) => {
-        const { loadPlacement } = await import('/web/viewer/saved-placement.js');
+        const { loadPlacement } = await import('/web/scenes/saved-placement.js');
         localStorage.setItem('capture2vr:placed', kept);
         return loadPlacement('cube');
     }"""
@@ -243,7 +243,7 @@ def test_what_the_browser_remembers_is_checked_and_bounded(page: Page, site: Sit
     good = '[["cube", [1, 0, -1, 0, 1, 0, 0, 2]]]'
     assert page.evaluate(read, good) == {"offset_m": [1, 0, -1], "turn": [0, 1, 0, 0], "scale": 2}
     many = """async () => {
-        const { loadPlacement, savePlacement } = await import('/web/viewer/saved-placement.js');
+        const { loadPlacement, savePlacement } = await import('/web/scenes/saved-placement.js');
         const placement = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
         for (let each = 0; each < 300; each++) savePlacement(`k${each}`, placement);
         const kept = JSON.parse(localStorage.getItem('capture2vr:placed'));

@@ -98,11 +98,11 @@ def save(site: Site, scene: str, version: int, *items: PlacedAsset, name: str = 
 
 
 def quicker(context: BrowserContext, module: str, constant: str, milliseconds: int) -> None:
-    """Have the pages of a browser load one of the viewer's modules with another constant."""
-    text = (WEB / "viewer" / module).read_text()
+    """Have the pages of a browser load one of the modules of scenes with another constant."""
+    text = (WEB / "scenes" / module).read_text()
     changed, count = re.subn(rf"const {constant} = \d+;", f"const {constant} = {milliseconds};", text)
     assert count == 1, f"{module} has no {constant}"
-    context.route(f"**/viewer/{module}", lambda route: route.fulfill(body=changed, content_type="text/javascript"))
+    context.route(f"**/scenes/{module}", lambda route: route.fulfill(body=changed, content_type="text/javascript"))
 
 
 def middle_of(page: Page, channel: int) -> tuple[float, float]:

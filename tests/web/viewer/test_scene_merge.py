@@ -14,7 +14,7 @@ pytestmark = pytest.mark.browser
 
 Scene = dict[str, Any]
 _MERGE = """async (cases) => {
-    const { mergeScenes, isSameContent } = await import('/web/viewer/scene-merge.js');
+    const { mergeScenes, isSameContent } = await import('/web/scenes/scene-merge.js');
     return cases.map(([base, mine, theirs]) => [mergeScenes(base, mine, theirs), isSameContent(mine, mine)]);
 }"""
 

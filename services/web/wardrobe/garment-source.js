@@ -1,0 +1,31 @@
+// Where the wardrobe's garments come from: the signed collection, and their files, loaded ahead.
+import { loadRows, withNewest } from '../catalogue/signed-catalogue.js';
+import { loadFile } from '../catalogue/verified-cache.js';
+import { nextEntry } from '../scenes/page-address.js';
+
+/** @import { CollectionRow } from '../shared/types.d.ts' */
+
+/**
+ * Loads all rows of a collection.
+ * @param {string} collection
+ * @returns {Promise<CollectionRow[]>}
+ * @throws {Problem} as `loadCollection` and `loadRows`
+ */
+export function loadAllRows(collection) {
+  return withNewest(collection, async (index) => (await Promise.all(index.shards.map((shard) => loadRows(index, shard)))).flat());
+}
+
+/**
+ * Loads the coarsest level of an asset onto this device, so that it is there at once when it is to be shown. What does not come is said then.
+ * @param {string} key
+ */
+export async function preload(key) {
+  try {
+    const entry = await nextEntry(key);
+    const coarsest = entry?.lods.toSorted((one, other) => other.level - one.level)[0];
+    if (coarsest) await loadFile(coarsest);
+    document.body.dataset.preloaded = key; // for tests and for scripts
+  } catch {
+    // nothing is shown of it yet
+  }
+}

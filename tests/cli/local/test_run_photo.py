@@ -1,0 +1,45 @@
+"""`capture2vr run` on one photo: with a rectangle, and where nothing stands out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.cli.local.test_run import capture2vr
+from tests.support.photos.walkaround import render_walkaround
+
+pytestmark = pytest.mark.slow
+
+PROPOSED = 1  # of the rendered photos, one before whose table nothing stands out
+BRIEFLY = ("--preset", "draft", "--resolution", "40")
+
+
+def report(out: Path) -> dict[str, object]:
+    return dict(json.loads((out / "report.json").read_text()))
+
+
+def test_the_rectangle_says_which_thing_is_made(tmp_path: Path) -> None:
+    rgb = np.full((300, 400, 3), 215, np.uint8)
+    for middle, colour in ((110, (180, 40, 30)), (290, (30, 60, 170))):
+        cv2.circle(rgb, (middle, 150), 60, colour, cv2.FILLED)
+    cv2.imwrite(str(tmp_path / "discs.png"), rgb[..., ::-1])
+    result = capture2vr("run", "discs.png", "-o", "out", "--box", "0.55,0.2,0.95,0.8", *BRIEFLY, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "Nothing stands out" not in result.stderr
+    red, _, blue = np.array(report(tmp_path / "out")["anchors"]["rgb"]).reshape(-1, 3).mean(axis=0)  # type: ignore[index]
+    assert blue > red + 50
+
+
+def test_a_proposal_is_told_with_its_rectangle_and_what_to_do(tmp_path: Path) -> None:
+    photo = render_walkaround(tmp_path / "walk", views=4, size=(480, 360)).photos[PROPOSED]
+    result = capture2vr("run", photo, "-o", tmp_path / "out", *BRIEFLY, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    (warning,) = (each for each in report(tmp_path / "out")["warnings"] if "stands out" in each)  # type: ignore[attr-defined]
+    assert photo.name in warning
+    assert "in the rectangle 0." in warning
+    assert "(--box)" in warning
+    assert "--box" in result.stderr
