@@ -212,7 +212,7 @@ async def upload_capture(
     openapi_extra=_BODY,
 )
 async def outline_photo(request: Request, gateway: GatewayOf, box: BoxQuery = "") -> OutlineView:
-    """Outline the thing that would be reconstructed from a single photo, or from a rectangle of it.
+    """Outline the object that would be reconstructed from a single photo, or from a rectangle of it.
 
     Takes the same body as an upload, and stores nothing. Send the photo itself: a smaller copy may give another
     outline.

@@ -44,7 +44,7 @@ class NamesView(BaseModel):
     responses=problems(404, 415, 422, 503),
 )
 async def change_names_of_asset(key: Key, body: NamesRequest, request: Request, gateway: GatewayOf) -> NamesView:
-    """Change an asset's label, description or search words, without a new version. A later job keeps them, unless it
+    """Change an asset's label, description or tags, without a new version. A later job keeps them, unless it
     names others.
     """
     check_key(key)

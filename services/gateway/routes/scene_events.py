@@ -94,7 +94,7 @@ async def follow_scene(
     responses=problems(404, 415, 422, 429, 503),
 )
 async def post_moving(scene: SceneId, body: Moves, request: Request, gateway: GatewayOf) -> None:
-    """Tell those who follow a scene where things are while they are moved. Nothing is stored; ten times a second do."""
+    """Tell followers of an arrangement where objects are while they are moved. Nothing is stored; send ten a second."""
     thing = Thing(caller_of(request).tenant, "scene", scene)
     gateway.access.limits.spend_moves(thing.tenant, scene)
     await _read(thing, request)
