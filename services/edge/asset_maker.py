@@ -26,6 +26,7 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.spacing import auto_resolution
 from capture2vr.edge.preset import Extraction
 from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, State
 
 _EXTRACT_SHARE = 0.4  # of the EXTRACTING stage's time is extraction, the rest is cleaning
@@ -52,7 +53,7 @@ class AssetMaker:
         resolution = subject.preset.resolution or auto_resolution(
             near, high=finest, cells_per_spacing=subject.preset.cells_per_spacing
         )
-        yield self.bar.begin("EXTRACTING", f"{resolution} cells along the longest side")
+        yield self.bar.begin("EXTRACTING", say("cells_along_longest_side", count=resolution))
         with self.clock("EXTRACTING"):
             if extraction == "published":
                 return self._published(distance, near, resolution)
@@ -108,6 +109,6 @@ def _refuse_empty(mesh: Mesh, near: Floats, resolution: int) -> None:
     if len(mesh.faces) == 0:
         raise EdgeError(
             "EXTRACTION_EMPTY",
-            f"no surface was found among {len(near):,} points at {resolution} cells",
-            hints=("capture the object from closer and from more sides",),
+            say("no_surface_found_among_points", count=len(near), resolution=resolution),
+            hints=(say("capture_object_from_closer"),),
         )

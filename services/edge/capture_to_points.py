@@ -42,6 +42,7 @@ from capture2vr.edge.progress import Bar, Clock, Progress
 from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
 from capture2vr.order.option_table import Cut
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
 
 # Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
 # RGB-D room, on two cores.
@@ -52,7 +53,7 @@ PHOTO_STARTS = {"VALIDATING": 0.0, "ALIGNING": 0.01, "POINT_CLOUD": 0.62, "FITTI
 PREVIEW_SHARE = 0.15
 """Fraction of the whole progress bar that the preview takes, where a training follows it."""
 
-_ALL_WANTED = CutReport("scene", "everything was asked for")
+_ALL_WANTED = CutReport("scene", say("everything_asked"))
 _POSES = 0.5  # share of the time to the points that computing poses takes, for frames without any
 
 _PHOTO_PREVIEW_SHARE = 0.6  # the same for photos, whose depth images take most of the time
@@ -108,11 +109,11 @@ def prepare(
     bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
     source = CaptureFacts.of(capture)
     if capture.kind == "photos":
-        yield bar.begin("ALIGNING", f"{len(capture.photos)} photos")
+        yield bar.begin("ALIGNING", say("count_photos", count=len(capture.photos)))
         with clock("ALIGNING"):
             capture = to_depth(capture, device=device, tick=bar.tick("ALIGNING"))
             source = replace(source, verdicts=capture.verdicts)
-    yield bar.begin("POINT_CLOUD", f"reading {source.format}")
+    yield bar.begin("POINT_CLOUD", say("reading_format", format=source.format))
     with clock("POINT_CLOUD"):
         points = _points(capture, options, hold_out, bar)
         if options.longest_m:  # it was measured before anything was cut away
@@ -137,11 +138,11 @@ def require_single_photo(capture: Capture, box: PhotoBox | None) -> None:
     """Raise CaptureError BOX_NOT_APPLICABLE for a rectangle with a capture that is not one photo."""
     if box and capture.kind != "image":
         pictures = len(capture.photos) or len(capture.frames)
-        what = f"{pictures} pictures" if pictures else f"no photo ({capture.format})"
+        what = say("count_pictures", count=pictures) if pictures else say("no_photo", format=capture.format)
         raise CaptureError(
             "BOX_NOT_APPLICABLE",
-            f"a rectangle marks the thing in a single photo, but the capture has {what}",
-            hints=("leave the rectangle out (--box), or send only the photo that it is drawn in",),
+            say("rectangle_marks_thing_in_single", what=what),
+            hints=(say("leave_rectangle_out_box_send"),),
         )
 
 
@@ -209,7 +210,7 @@ def _cloud_points(capture: Capture, voxel: float | None, cut: Cut, tick: Tick) -
     points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
     if cut == "object":
         return isolate_object(replace(points, whole=None), tick=tick)
-    return replace(points, cut=_ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is"))
+    return replace(points, cut=_ALL_WANTED if cut == "scene" else CutReport("scene", say("cloud_taken")))
 
 
 def _fused_points(
@@ -243,9 +244,9 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, tick: T
     except CaptureError as error:
         if cut == "object":
             raise
-        kept = CutReport("scene", f"no thing was found in the middle: {error.message}")
+        kept = CutReport("scene", say("no_thing_found_in_middle", why=error.message))
         return replace(
-            points, cut=kept, warnings=(*points.warnings, f"The surroundings were not removed: {error.message}.")
+            points, cut=kept, warnings=(*points.warnings, say("surroundings_not_removed", why=error.message))
         )
     return replace(isolated, unseen=unseen_sides(isolated, capture.frames))
 
@@ -266,8 +267,8 @@ def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
     if keep.sum() < MIN_POINTS:
         raise CaptureError(
             "CAPTURE_TOO_FEW_POINTS",
-            f"{int(keep.sum())} of {len(keep)} fused points are consistent; at least {MIN_POINTS} are needed",
-            hints=("Move slowly, in good light, and keep the object in view.",),
+            say("fused_points_consistent_least_needed", kept=int(keep.sum()), count=len(keep), least=MIN_POINTS),
+            hints=(say("move_slowly_in_good_light"),),
         )
     xyz = fused.xyz[keep]
     if stereo:

@@ -26,6 +26,7 @@ from capture2vr.edge.mesh.sampling import area, sample
 from capture2vr.edge.mesh.spacing import point_spacing
 from capture2vr.edge.mesh.topology import component_count
 from capture2vr.edge.render.photo_comparison import PhotoFigures
+from capture2vr.sentences.sentence import in_row, say
 
 HELD_OUT_SHARE = 0.02  # of the points
 HELD_OUT = (20, 2_000)  # least and most points: fewer say nothing, and 2,000 give their mean distance to within 2 %
@@ -188,24 +189,31 @@ def compare(preview: Certificate, refined: Certificate) -> QualityVerdict:
     share = np.sqrt(preview.coverage * (1 - preview.coverage) / len(farther))
     edges = 1.5 * refined.triangles  # of a surface: three to a triangle, each shared by two
     limit = max(SIGNIFICANCE * error, MAX_FARTHER * preview.held_out_mean)
-    judged_by = "held-out points" if refined.held_out else "input points"
+    judged_by = say("held_out_points") if refined.held_out else say("input_points")
     faults = {
-        f"lies farther from the {judged_by}": mean > limit,
-        "covers fewer points": refined.coverage < preview.coverage - MAX_UNCOVERED - SIGNIFICANCE * share,
-        "has more surface where there are no points": refined.stray_area > preview.stray_area + MAX_STRAY,
-        "has more non-manifold edges": refined.non_manifold_edges
+        say("lies_farther", points=judged_by): mean > limit,
+        say("covers_fewer_points"): refined.coverage < preview.coverage - MAX_UNCOVERED - SIGNIFICANCE * share,
+        say("has_more_surface_where"): refined.stray_area > preview.stray_area + MAX_STRAY,
+        say("has_more_non_manifold_edges"): refined.non_manifold_edges
         > preview.non_manifold_edges + MAX_NON_MANIFOLD * edges,
-        "shows more holes in held-out photos": _holes(refined) > _holes(preview) + MAX_HOLES,
-        "has more separate pieces": refined.components > MAX_PIECES[0] * preview.components + MAX_PIECES[1],
+        say("shows_more_holes_in_held"): _holes(refined) > _holes(preview) + MAX_HOLES,
+        say("has_more_separate_pieces"): refined.components > MAX_PIECES[0] * preview.components + MAX_PIECES[1],
     }
-    figures = (
-        f"mean distance to {len(farther):,} {judged_by} {refined.held_out_mean:.5f}, was {preview.held_out_mean:.5f} "
-        f"(± {error:.5f}); coverage {refined.coverage:.1%}, was {preview.coverage:.1%}; "
-        f"pieces {refined.components:,}, was {preview.components:,}"
+    figures = say(
+        "mean_distance_to_coverage_pieces",
+        count=len(farther),
+        which=judged_by,
+        number=refined.held_out_mean,
+        before=preview.held_out_mean,
+        error=error,
+        coverage=refined.coverage,
+        earlier=preview.coverage,
+        pieces=refined.components,
+        pieces_before=preview.components,
     )
     if any(faults.values()):
-        faulty = ", ".join(fault for fault, found in faults.items() if found)
-        return QualityVerdict("worse", f"the refined surface {faulty}: {figures}")
+        faulty = in_row(", ", (fault for fault, found in faults.items() if found))
+        return QualityVerdict("worse", say("refined_surface", faulty=faulty, figures=figures))
     return QualityVerdict("better" if mean < 0 else "even", figures)
 
 

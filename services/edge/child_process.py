@@ -17,6 +17,7 @@ from typing import BinaryIO
 from capture2vr.edge.arrays import Tick
 from capture2vr.process.child_start import start_child
 from capture2vr.process.parent_death import end_with_parent
+from capture2vr.sentences.sentence import say
 
 _POLL_SECONDS = 0.1  # between two ticks: the longest time that a cancelled job still runs
 _LOG_LINES = 3  # the last lines of the program's output that are quoted in an error
@@ -82,8 +83,8 @@ class _Deadline:
         """Seconds since the start or the last restart. Raises ChildError where they are more than the limit."""
         elapsed = time.monotonic() - self._since
         if elapsed > self._most_seconds:
-            fault = "reported no progress for" if self._silent else "took more than"
-            raise ChildError(f"{self._name} {fault} {self._most_seconds:.0f} s", too_slow=True)
+            code = "reported_no_progress" if self._silent else "took_more_than"
+            raise ChildError(say(code, name=self._name, seconds=self._most_seconds), too_slow=True)
         return elapsed
 
 

@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 from capture2vr.errors import Capture2vrError
+from capture2vr.sentences.sentence import in_row, say
 
 
 class EdgeError(Capture2vrError):
@@ -34,6 +35,11 @@ class EdgeError(Capture2vrError):
         self.hints = hints or self._usual_hints(code)
         self.retryable = retryable
 
+    @property
+    def sentence(self) -> str:
+        """The message after the name of the file that it is about."""
+        return in_row(": ", (self.file, self.message)) if self.file else self.message
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle all of it: it may be raised in another process than where it is caught."""
         rebuild = partial(type(self), file=self.file, hints=self.hints, retryable=self.retryable)
@@ -46,18 +52,18 @@ class EdgeError(Capture2vrError):
 
 
 _DEFAULT_HINTS = {
-    "CAPTURE_EMPTY": "choose the files again, and check that they are not empty",
-    "CAPTURE_TRUNCATED": "copy or export the file again",
-    "CAPTURE_NOT_FINITE": "export the capture again, in metres",
-    "CAPTURE_TOO_FEW_POINTS": "walk around the object and scan it again",
-    "CAPTURE_DEGENERATE": "walk around the object and scan it again",
-    "CAPTURE_TOO_LARGE": "send fewer frames or fewer points",
-    "CAPTURE_NO_POSES": "also send the file with the camera poses",
-    "CAPTURE_COUNT_MISMATCH": "send all files of the recording",
-    "CAPTURE_BAD_INTRINSICS": "send the camera's own intrinsics, for the size of its images",
-    "IMAGE_TOO_LARGE": "send smaller pictures",
+    "CAPTURE_EMPTY": say("choose_files_again_check_they"),
+    "CAPTURE_TRUNCATED": say("copy_export_file_again"),
+    "CAPTURE_NOT_FINITE": say("export_capture_again_in_metres"),
+    "CAPTURE_TOO_FEW_POINTS": say("walk_around_object_scan_again"),
+    "CAPTURE_DEGENERATE": say("walk_around_object_scan_again"),
+    "CAPTURE_TOO_LARGE": say("send_fewer_frames_fewer_points"),
+    "CAPTURE_NO_POSES": say("also_send_file_with_camera"),
+    "CAPTURE_COUNT_MISMATCH": say("send_all_files_recording"),
+    "CAPTURE_BAD_INTRINSICS": say("send_camera_own_intrinsics_size"),
+    "IMAGE_TOO_LARGE": say("send_smaller_pictures"),
 }
-_OTHER_HINT = "export the capture again"
+_OTHER_HINT = say("export_capture_again")
 
 
 class CaptureError(EdgeError):

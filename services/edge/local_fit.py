@@ -18,6 +18,7 @@ from capture2vr.edge.points.unit import unit_frame
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset
 from capture2vr.edge.preset_choice import choose, traits_of
 from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.sentences.sentence import say
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +65,9 @@ def split_points(points: Points, preset: Preset, device: str) -> SplitPoints:
 
 def fit_local(split: SplitPoints, clock: Clock, bar: Bar) -> Generator[Progress, None, LocalFit]:
     """Fit the preview's field, in a unit frame around its points."""
-    chosen = f", preset {split.preset.name}: {split.because}" if split.because else ""
-    yield bar.begin("FITTING", f"{len(split.fitted):,} points{chosen}")
+    counted = say("count_points", count=len(split.fitted))
+    chosen = say("with_preset_because", what=counted, preset=split.preset.name, because=split.because)
+    yield bar.begin("FITTING", chosen if split.because else counted)
     with clock("FITTING"):
         unit = unit_frame(split.fitted.xyz)
         measured = unit.to_unit(split.fitted.xyz)

@@ -33,6 +33,7 @@ from capture2vr.edge.tiles.scene import TILE_STARTS
 from capture2vr.edge.training import FieldTraining, train
 from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
 from capture2vr.order.option_table import Fill
+from capture2vr.sentences.sentence import in_row, say
 from capture2vr.storage.bundle import Bundle
 
 # Fraction of its pass at which each stage begins. In the preview's pass the local field is there at once; in the
@@ -205,7 +206,7 @@ def _refined(
         yield from _keep_preview(maker, preview, _kept_warning(error.message, error.hints))
         return
     except MemoryError:
-        why = _kept_warning("there was not enough memory for the refined one", ("choose a coarser preset",))
+        why = _kept_warning(say("not_enough_memory_refined"), (say("choose_coarser_preset"),))
         with suppress(MemoryError):  # textures take less than a training, but may take too much too
             yield from _last_preview(maker, preview)
         yield PreviewKept(why, None, dict(maker.clock.seconds))
@@ -229,11 +230,8 @@ def _refined(
 
 def _verdict_warnings(verdict: QualityVerdict) -> tuple[str, ...]:
     """What a person is told of a refined surface that is published although it is not better."""
-    told = {
-        "worse": "this method's mesh is worse than the preview was",
-        "even": "training did not improve on the preview",
-    }
-    return (f"{told[verdict.outcome]}: {verdict.because}",) if verdict.outcome in told else ()
+    told = {"worse": "method_mesh_worse_than_preview", "even": "training_did_not_improve"}
+    return (say(told[verdict.outcome], why=verdict.because),) if verdict.outcome in told else ()
 
 
 def _keep_preview(
@@ -251,4 +249,5 @@ def _last_preview(maker: AssetMaker, preview: _Preview) -> Iterator[Progress | B
 
 def _kept_warning(why: str, hints: tuple[str, ...] = ()) -> str:
     """The warning for people that the preview was kept, with the reason and hints."""
-    return f"the preview was kept: {why}" + (f" ({'; '.join(hints)})" if hints else "")
+    kept = say("preview_kept", why=why)
+    return say("with_brackets", what=kept, names=in_row("; ", hints)) if hints else kept

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import resources
 from importlib.resources.abc import Traversable
 from types import NoneType, UnionType
@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.field.config import AnchorConfig
 from capture2vr.edge.paper_field.network_config import UNUSED_KEYS, NetworkConfig
+from capture2vr.sentences.sentence import say, sentence_or_text
 
 AUTOMATIC = "auto"
 """Name of the automatic choice: the pipeline then chooses a preset from the points (`preset_choice.py`). An empty name
@@ -53,7 +54,8 @@ class Preset:
     tiled        whether the refined bundle is meshed tile by tile, from all points of the capture rather than
                  `most_points`, at the finest cells that they bear
     splat_steps  steps of a training of Gaussian splats on the photos, which the last bundle then has beside its mesh
-    takes        time that the training takes, for people; "" where it is minutes or less
+    summary      what it is for, for people: in a file, a code of `sentences/english.json`, or an operator's own words
+    takes        time that the training takes, for people, as `summary`; "" where it is minutes or less
     """
 
     name: str
@@ -77,7 +79,7 @@ class Preset:
         return self.fit is not None or self.tiled
 
 
-_AUTOMATIC_PRESET = Preset(AUTOMATIC, "chosen from the points, their spacing and noise, and the device")
+_AUTOMATIC_PRESET = Preset(AUTOMATIC, say("preset_auto"))
 
 
 def preset_names() -> tuple[str, ...]:
@@ -95,7 +97,7 @@ def load_preset(name: str) -> Preset:
             return parse_preset(name, (folder / f"{name}.toml").read_text())
     known = ", ".join(preset_names())
     raise EdgeError(
-        "PRESET_UNKNOWN", f"there is no preset '{name}'; the presets are: {known}", hints=(f"use one of: {known}",)
+        "PRESET_UNKNOWN", say("no_preset_presets", preset=name, names=known), hints=(say("use_one", names=known),)
     )
 
 
@@ -105,6 +107,7 @@ def parse_preset(name: str, text: str) -> Preset:
     if "name" in values:
         raise EdgeError("PRESET_INVALID", f"preset '{name}' has unknown keys: name")
     preset = _build(Preset, {"name": name, **values}, name, "")
+    preset = replace(preset, summary=sentence_or_text(preset.summary), takes=sentence_or_text(preset.takes))
     if list(preset.lod_faces) != sorted(set(preset.lod_faces), reverse=True) or not preset.lod_faces:
         raise EdgeError("PRESET_INVALID", f"preset '{name}': lod_faces must decrease from level to level")
     if preset.splat_steps < 0:

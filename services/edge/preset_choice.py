@@ -16,6 +16,7 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.field.noise import SCALES, noise_level
 from capture2vr.edge.mesh.spacing import point_spacing
 from capture2vr.edge.points.nouns import Points
+from capture2vr.sentences.sentence import say
 
 PresetName = Literal["draft", "standard", "fine", "scene", "scene-tiles"]
 
@@ -56,22 +57,22 @@ class Choice:
 def choose(traits: Traits) -> Choice:
     """Choose the preset for a cloud: on a CPU by the waiting time, on a GPU by the detail that the points can give."""
     if traits.points < FEWEST:
-        return Choice("draft", f"{traits.points:,} points are too few to train on")
+        return Choice("draft", say("points_too_few_to_train", count=traits.points))
     if traits.extent_m > TILES_M and traits.points > CROWD:
-        return Choice("scene-tiles", f"a size of {traits.extent_m:.1f} m is too large for the cells of one mesh")
+        return Choice("scene-tiles", say("size_m_too_large_cells", size=traits.extent_m))
     if traits.points > TILES_POINTS:
-        return Choice("scene-tiles", f"{traits.points:,} points show more than one mesh can hold")
+        return Choice("scene-tiles", say("points_show_more_than", count=traits.points))
     if traits.extent_m > ROOM_M:
-        return Choice("scene", f"a size of {traits.extent_m:.1f} m is a room, not one object")
+        return Choice("scene", say("size_m_room", size=traits.extent_m))
     if traits.points > CROWD:
-        return Choice("scene", f"{traits.points:,} points are many for one object")
+        return Choice("scene", say("points_many_one_object", count=traits.points))
     if not traits.gpu:
-        return Choice("standard", f"{traits.points:,} points on a CPU, where a finer preset takes minutes")
+        return Choice("standard", say("points_on_cpu_where_finer", count=traits.points))
     if traits.noise > NOISY:
-        return Choice("standard", f"noise of {traits.noise:.2f} point spacings hides finer detail")
+        return Choice("standard", say("noise_point_spacings_hides_finer", noise=traits.noise))
     if traits.spacing > FINE_SPACING:
-        return Choice("standard", f"points {traits.spacing:.3f} of the longest side apart show no finer detail")
-    return Choice("fine", f"{traits.points:,} points with little noise, on a GPU")
+        return Choice("standard", say("points_longest_side_apart_show", spacing=traits.spacing))
+    return Choice("fine", say("points_with_little_noise", count=traits.points))
 
 
 def traits_of(points: Points, *, gpu: bool) -> Traits:

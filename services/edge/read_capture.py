@@ -29,6 +29,7 @@ from capture2vr.edge.recordings import (
     stray,
     tum,
 )
+from capture2vr.sentences.sentence import say
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
     (record3d.matches, record3d.read),
@@ -64,9 +65,7 @@ _UNREAD_MODELS = (".usd", ".usda", ".usdc", ".usdz", ".fbx", ".dae", ".3mf", ".3
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
 # Text tables of numbers that belong to a recording; they look like point clouds, and are none.
 _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
-_FORMATS_HINT = (
-    "send photos, a video, a point cloud, a mesh, or a scanning app's export; see the list of supported formats"
-)
+_FORMATS_HINT = say("send_photos_video_point_cloud")
 
 
 def read_capture(folder: Path, *, tick: Tick = no_tick) -> Capture:
@@ -79,7 +78,7 @@ def read_capture(folder: Path, *, tick: Tick = no_tick) -> Capture:
     # No floating-point warnings for overflow and NaN: the values are checked after reading.
     with np.errstate(all="ignore"), translate_errors(folder.name, "capture"):
         if not folder.exists():
-            raise CaptureError("CAPTURE_EMPTY", "there is no such file or folder", file=folder.name)
+            raise CaptureError("CAPTURE_EMPTY", say("no_such_file_folder"), file=folder.name)
         if folder.is_dir():
             return _read_folder(_skip_wrapper_folders(replace(open_folder(folder), tick=tick)))
         return _read_files(Folder(folder.parent, (folder.name,), tick))
@@ -99,7 +98,7 @@ def _skip_wrapper_folders(folder: Folder) -> Folder:
 
 def _read_folder(folder: Folder) -> Capture:
     if not folder.names:
-        raise CaptureError("CAPTURE_EMPTY", "the capture has no files", hints=(_FORMATS_HINT,))
+        raise CaptureError("CAPTURE_EMPTY", say("capture_has_no_files"), hints=(_FORMATS_HINT,))
     for matches, read in _FORMATS:
         if matches(folder):
             return read(folder)
@@ -119,7 +118,7 @@ def _read_files(folder: Folder) -> Capture:
     capture = read_cloud(folder, name, kind)
     if not others:
         return capture
-    more = f"only {name} was used; {len(others)} other point clouds or meshes were not ({', '.join(others[:3])})"
+    more = say("only_used_other_point_clouds", name=name, count=len(others), names=", ".join(others[:3]))
     return replace(capture, warnings=(*capture.warnings, more))
 
 
@@ -128,8 +127,8 @@ def _read_pictures(folder: Folder) -> Capture:
     videos = film.find_videos(folder)
     model = next((name for name in folder.names if name.lower().endswith(_UNREAD_MODELS)), None)
     if model is not None and not videos and not any(_is_by_camera(folder, name) for name in photos.pictures(folder)):
-        hints = ("export it as GLB, OBJ, PLY or STL, and send that",)
-        raise CaptureError("CAPTURE_UNKNOWN_FORMAT", "is a model in a format that is not read", file=model, hints=hints)
+        hints = (say("export_as_glb_obj_ply"),)
+        raise CaptureError("CAPTURE_UNKNOWN_FORMAT", say("model_in_format_not_read"), file=model, hints=hints)
     if videos and len(photos.pictures(folder)) < MIN_PHOTOS:
         return film.read(folder)
     if not photos.matches(folder):
@@ -159,21 +158,19 @@ def _nothing_readable(folder: Folder) -> CaptureError:
     sizes = {name: folder.path(name).stat().st_size for name in folder.names}
     if not any(sizes.values()):
         only = folder.names[0] if len(folder.names) == 1 else None
-        return CaptureError("CAPTURE_EMPTY", "the file is empty" if only else "all files are empty", file=only)
+        return CaptureError("CAPTURE_EMPTY", say("file_empty") if only else say("all_files_empty"), file=only)
     for name in folder.names:
         if name.lower().endswith(_CLOUD_SUFFIXES):
-            what = (
-                f"has the suffix {Path(name).suffix}, but its content is another format" if sizes[name] else "is empty"
-            )
+            what = say("has_suffix_but_content_another", suffix=Path(name).suffix) if sizes[name] else "is empty"
             return unreadable(name, what) if sizes[name] else CaptureError("CAPTURE_EMPTY", what, file=name)
     heads = [_head(folder.path(name)) for name in folder.names]
     only = folder.names[0] if len(folder.names) == 1 else None
     archive = next((name for name, head in zip(folder.names, heads, strict=True) if head.startswith(_ARCHIVES)), None)
     if archive is not None:
-        hint = "unpack it and send the files"
-        what = "is an archive; archives are not unpacked here"
+        hint = say("unpack_send_files")
+        what = say("archive_archives_not_unpacked_here")
         return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=archive, hints=(hint,))
-    what = "is not in a known format" if only else "no file of the capture is in a known format"
+    what = say("not_in_known_format") if only else say("no_file_capture_in_known")
     return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=only, hints=(_FORMATS_HINT,))
 
 

@@ -16,6 +16,7 @@ from capture2vr.edge.field.config import AnchorConfig
 from capture2vr.edge.field.noise import Noise
 from capture2vr.edge.paper_field.network_config import NetworkConfig
 from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.sentences.sentence import in_row, say
 
 if TYPE_CHECKING:
     from capture2vr.edge.field.step import Step
@@ -88,7 +89,7 @@ def train(training: FieldTraining, clock: Clock, bar: Bar) -> Generator[Progress
             if error.code != "GPU_OOM" or smaller is None:
                 raise
             training, change = smaller
-            warnings = (*warnings, f"{error.message}; {change}")
+            warnings = (*warnings, in_row("; ", (error.message, change)))
         # Outside the `except`: until it ends, the error keeps the stack frames alive whose tensors fill the GPU.
         if training.checkpoint:  # it was written for another batch or another device
             training.checkpoint.unlink(missing_ok=True)
@@ -98,14 +99,16 @@ def _steps(training: FieldTraining, bar: Bar, warnings: tuple[str, ...]) -> Gene
     # Imported here: a worker that makes previews only must not load torch.
     from capture2vr.edge.field.anchors import AnchorField
 
-    yield bar.begin("FITTING", f"training on {training.device}")
+    yield bar.begin("FITTING", say("training_on_device", device=training.device))
     steps = _fit(training)
     losses: Mapping[str, float] = {}
     eta = _Eta()
     with closing(steps):
         for step in steps:
             losses = step.losses or losses
-            message = f"step {step.number:,} of {step.of:,}{eta(step)}" if step.number else "analysing the points"
+            message = (
+                eta(step, say("step_of_all", step=step.number, all=step.of)) if step.number else say("analysing_points")
+            )
             yield bar.advance("FITTING", step.number / step.of, message, step.losses)
     near = step.field.points if isinstance(step.field, AnchorField) else training.smooth
     return TrainedField(step.field, near, step.number, losses, training.device, warnings)
@@ -142,10 +145,13 @@ class _Eta:
     def __init__(self) -> None:
         self._latest: deque[tuple[int, float]] = deque(maxlen=_RATE_OF)
 
-    def __call__(self, step: Step) -> str:
+    def __call__(self, step: Step, what: str) -> str:
+        """Return what is done, with the time that is left once it can be told."""
         self._latest.append((step.number, time.monotonic()))
         (first, began), (last, now) = self._latest[0], self._latest[-1]
         if last - first < _ETA_FROM or last >= step.of:
-            return ""
+            return what
         seconds = (now - began) / (last - first) * (step.of - last)
-        return f", {seconds:.0f} s left" if seconds < 100 else f", {seconds / 60:.0f} min left"
+        if seconds < 100:
+            return say("s_left", what=what, seconds=seconds)
+        return say("min_left", what=what, minutes=seconds / 60)

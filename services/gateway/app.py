@@ -9,14 +9,15 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.responses import JSONResponse
 from starlette.middleware.cors import CORSMiddleware
-from starlette.middleware.gzip import GZipMiddleware
 
 import capture2vr
 from capture2vr.gateway import errors
 from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.compression import Compression
 from capture2vr.gateway.gateway import keep_gateway
 from capture2vr.gateway.middleware import RequestMiddleware
 from capture2vr.gateway.opening import Equipment
+from capture2vr.gateway.page_texts import WEB
 from capture2vr.gateway.resumable import protocol
 from capture2vr.gateway.routes import (
     access,
@@ -95,11 +96,11 @@ def _add_routes(app: FastAPI) -> None:
         check_rules(module.router.routes)
         app.include_router(module.router)
     _add_openapi(app)
-    # Compression makes scripts four times smaller: 2.5 MB would take a second of a first visit at 20 Mbit/s.
-    app.mount("/web", GZipMiddleware(pages.WebFiles(directory=pages.WEB), compresslevel=6), name="web")
+    app.mount("/web", pages.WebFiles(directory=WEB), name="web")
 
 
 def _add_middleware(app: FastAPI, settings: GatewaySettings) -> None:
+    app.add_middleware(Compression)
     if settings.cors_origins:
         app.add_middleware(
             CORSMiddleware,

@@ -17,6 +17,8 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from capture2vr.gateway.errors import MEDIA_TYPE, RETRY_S, Problem
 from capture2vr.gateway.own_address import is_own
+from capture2vr.sentences.documents import with_codes
+from capture2vr.sentences.sentence import say
 
 MAX_HEAD_BYTES = 64 << 10
 """Limit of a request's line and headers; browsers send 2 KB, with long cookies 8."""
@@ -67,7 +69,7 @@ class LimitedProtocol(HttpToolsProtocol):
         if self._limits.enter(self._address):
             self._expect_head()
         else:
-            detail = "this address has too many open connections"
+            detail = say("address_has_too_many_open")
             headers = {"Retry-After": str(RETRY_S)}
             self._refuse(Problem(429, "CONNECTIONS_LIMITED", detail, retryable=True, headers=headers))
 
@@ -126,7 +128,7 @@ class LimitedProtocol(HttpToolsProtocol):
         if not self._head_bytes:  # opened in advance, and never used
             self.transport.close()
             return
-        detail = f"the request's headers did not arrive within {_HEAD_S:.0f} s"
+        detail = say("request_headers_did_not_arrive", seconds=_HEAD_S)
         self._refuse(Problem(408, "REQUEST_SILENT", detail, retryable=True))
 
     def _refuse(self, problem: Problem) -> None:
@@ -135,7 +137,7 @@ class LimitedProtocol(HttpToolsProtocol):
         if self.cycle is not None and not self.cycle.response_complete:
             self.transport.close()
             return
-        body = json.dumps(problem.document()).encode()
+        body = json.dumps(with_codes(problem.document())).encode()
         headers = {
             "Content-Type": MEDIA_TYPE,
             "Content-Length": str(len(body)),
@@ -149,5 +151,5 @@ class LimitedProtocol(HttpToolsProtocol):
 
 def head_too_large() -> Problem:
     """Return the problem for a request whose line and headers are too large."""
-    detail = f"the request's line and headers are too large; at most {MAX_HEAD_BYTES:,} bytes are allowed"
-    return Problem(431, "HEADERS_TOO_LARGE", detail, hints=("send fewer or smaller headers, or delete cookies",))
+    detail = say("request_line_headers_too_large", most=MAX_HEAD_BYTES)
+    return Problem(431, "HEADERS_TOO_LARGE", detail, hints=(say("send_fewer_smaller_headers_delete"),))

@@ -18,14 +18,16 @@ from sqlalchemy.exc import TimeoutError as NoConnection
 from starlette.exceptions import HTTPException
 
 from capture2vr.gateway.database_faults import Fault, fault_of
+from capture2vr.gateway.languages import for_reader
 from capture2vr.order.edits import SEE, fault_sentence
+from capture2vr.sentences.sentence import say
 
 MEDIA_TYPE = "application/problem+json"
 
 _SEE_OPENAPI = ("see /openapi.json",)
 RETRY_S = 10
 """Seconds after which a request that failed for want of space or of the database may succeed."""
-_TRY_AGAIN = ("try again in a moment",)
+_TRY_AGAIN = (say("try_again_in_moment"),)
 
 _log = logging.getLogger(__name__)
 
@@ -77,7 +79,7 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
         return self._title or HTTPStatus(self.status).phrase
 
     def document(self) -> dict[str, Any]:
-        """Return the problem as JSON; `stage` and `file` only where they are set."""
+        """Return the problem as JSON; `stage` and `file` only where they are set. Its sentences are Sentences."""
         where = {name: value for name, value in (("stage", self.stage), ("file", self.file)) if value}
         return {
             "type": f"urn:capture2vr:problem:{self.code}",
@@ -91,8 +93,9 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
         }
 
     def response(self) -> JSONResponse:
-        """Return the problem as an HTTP answer."""
-        return JSONResponse(self.document(), self.status, headers=self.headers, media_type=MEDIA_TYPE)
+        """Return the problem as an HTTP answer, in the reader's language and with its sentences' codes."""
+        document = for_reader(self.document())
+        return JSONResponse(document, self.status, headers=self.headers, media_type=MEDIA_TYPE)
 
 
 def internal_error(request_id: str) -> Problem:
@@ -100,9 +103,9 @@ def internal_error(request_id: str) -> Problem:
     return Problem(
         500,
         "INTERNAL",
-        f"an internal error of the gateway; its log has the details under request id {request_id}",
+        say("internal_error_gateway_log", request=request_id),
         retryable=True,
-        hints=("try again", f"report request id {request_id} if it happens again"),
+        hints=(say("try_again"), say("report_request_id_if_happens", request=request_id)),
     )
 
 
@@ -132,7 +135,7 @@ async def _on_invalid_request(request: Request, error: Exception) -> JSONRespons
     """Answer a request that does not match its schema: each wrong field and why, without its value."""
     assert isinstance(error, RequestValidationError)
     if any(fault["loc"] == ("body",) for fault in error.errors()) and not _is_json(request):
-        detail = "the body must be JSON, sent as Content-Type: application/json"
+        detail = say("body_must_be_json_sent")
         return Problem(415, "REQUEST_MEDIA_TYPE", detail, hints=_SEE_OPENAPI).response()
     faults = [fault_sentence(fault["loc"], fault["msg"]) for fault in error.errors()]
     if all(fault["loc"][:2] == ("body", "edits") for fault in error.errors()):
@@ -152,10 +155,10 @@ async def _on_database_error(request: Request, error: Exception) -> JSONResponse
         case Fault.FULL:
             return storage_full().response()
         case Fault.READ_ONLY:
-            detail, hints = "the jobs database is read-only: nothing can be changed now", ("try again later",)
+            detail, hints = say("jobs_database_read_only_nothing"), (say("try_again_later"),)
             return _database_problem("DATABASE_READ_ONLY", detail, hints).response()
         case Fault.UNUSABLE:
-            detail = "the jobs database is busy or cannot be used"
+            detail = say("jobs_database_busy_cannot")
             return _database_problem("DATABASE_UNAVAILABLE", detail).response()
 
 
@@ -165,8 +168,8 @@ def _database_problem(code: str, detail: str, hints: tuple[str, ...] = ()) -> Pr
 
 def storage_full() -> Problem:
     """Return the problem for a server without space."""
-    detail = "the server's disk is full"
-    hints = ("try again later", "an operator must free space")
+    detail = say("server_disk_full")
+    hints = (say("try_again_later"), say("operator_must_free_space"))
     return Problem(507, "STORAGE_FULL", detail, retryable=True, hints=hints, headers={"Retry-After": str(RETRY_S)})
 
 

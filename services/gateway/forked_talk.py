@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from capture2vr.process.fork_client import Forked
+from capture2vr.sentences.documents import with_sentences
 
 
 async def talk(forked: Forked, order: Mapping[str, Any]) -> dict[str, Any]:
@@ -21,7 +22,7 @@ async def talk(forked: Forked, order: Mapping[str, Any]) -> dict[str, Any]:
     answer = asyncio.ensure_future(reader.read())
     try:
         lines = (await asyncio.shield(answer)).splitlines()
-        return {name: value for line in lines for name, value in json.loads(line).items()}
+        return dict(with_sentences({name: value for line in lines for name, value in json.loads(line).items()}))
     except ConnectionError:
         return {}
     finally:

@@ -25,10 +25,12 @@ from capture2vr.gateway.access.sharing import mask_shares
 from capture2vr.gateway.connections import MAX_HEAD_BYTES, head_too_large
 from capture2vr.gateway.errors import Problem, internal_error
 from capture2vr.gateway.gateway import Gateway, gateway_in
+from capture2vr.gateway.languages import Reader, preferred_language, reader
 from capture2vr.gateway.records.audit_log import PASSING
 from capture2vr.gateway.same_site import SiteRules
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.process.logs import request_id
+from capture2vr.sentences.sentence import say
 
 _JSON_BYTES = 64 << 10  # limit of a body that is no upload: a job request has a few hundred bytes
 _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and headers of some thousand files
@@ -89,9 +91,11 @@ class RequestMiddleware:
         client_id = headers.get("x-request-id", "")
         identity = client_id if _REQUEST_ID.fullmatch(client_id) else uuid.uuid4().hex
         token = request_id.set(identity)
+        asking = reader.set(Reader(preferred_language(headers.get("accept-language", ""))))
         try:
             await self._handle(scope, receive, send, headers, identity)
         finally:
+            reader.reset(asking)
             request_id.reset(token)
 
     async def _handle(self, scope: Scope, receive: Receive, send: Send, headers: Headers, identity: str) -> None:
@@ -150,6 +154,9 @@ def _add_headers(headers: MutableHeaders, scope: Scope, identity: str, *, has_tl
     # What any origin's pages may read, they may also show: the other answers stay in this site.
     shared = headers.get("access-control-allow-origin") == "*"
     headers.setdefault("Cross-Origin-Resource-Policy", "cross-origin" if shared else "same-origin")
+    if reader.get().was_asked:
+        headers.add_vary_header("Accept-Language")
+        headers.setdefault("Content-Language", reader.get().language)
     if rate := scope.get("state", {}).get("rate_limit"):
         for name, value in rate.headers.items():
             headers.setdefault(name, value)
@@ -181,8 +188,8 @@ def _check_head(scope: Scope) -> None:
 def _refuse_key_in_url(scope: Scope) -> None:
     """Raises Problem for an access key in a URL, where logs and histories keep it."""
     if KEY_PATTERN.search(scope["path"]) or KEY_PATTERN.search(unquote(scope["query_string"].decode("latin-1"))):
-        detail = "an access key was sent in the URL, where logs and browsers keep it"
-        hints = ("send it in the header Authorization: Bearer KEY", "revoke this key: it may have been seen")
+        detail = say("access_key_sent_in_url")
+        hints = (say("send_in_header_authorization_bearer"), say("revoke_key_may"))
         raise Problem(400, "KEY_IN_URL", detail, hints=hints)
 
 
@@ -192,9 +199,9 @@ def _declared_length(headers: Headers) -> int:
 
 
 def _silent(seconds: float) -> Problem:
-    return Problem(408, "REQUEST_SILENT", f"the client sent nothing for {seconds:.0f} s", retryable=True)
+    return Problem(408, "REQUEST_SILENT", say("client_sent_nothing_s", seconds=seconds), retryable=True)
 
 
 def _too_large(limit: int) -> Problem:
-    detail = f"the request's body is too large; at most {limit:,} bytes are allowed"
-    return Problem(413, "REQUEST_TOO_LARGE", detail, hints=("send a smaller request",))
+    detail = say("request_body_too_large", limit=limit)
+    return Problem(413, "REQUEST_TOO_LARGE", detail, hints=(say("send_smaller_request"),))

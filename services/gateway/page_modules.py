@@ -12,6 +12,8 @@ from pathlib import Path
 _IMPORT = re.compile(
     r"""(?:^|;|\*/)(?:import|export)\b(?!\s*\()(?:[^'"();]*?\bfrom)?\s*['"](\.[^'"]+)['"]""", re.MULTILINE
 )
+_LATER = re.compile(r"""\bimport\(\s*['"](\.[^'"]+)['"]""")
+_ADDRESS = re.compile(r'"/web/([\w./-]+\.js)"')
 _ENTRY = re.compile(r'( *)<script type="module" src="/web/([^"]+)"(?: data-later="/web/([^"]+)")?></script>')
 
 
@@ -51,6 +53,25 @@ def static_imports(module: Path) -> list[Path]:
         nearest = [each for each in imports if each not in found]
         found |= dict.fromkeys(nearest)
     return [each for each in found if each != module]
+
+
+def modules_of_page(html: str, web: Path) -> list[Path]:
+    """Return all modules that a page loads, at once or later, third parties' excepted.
+
+    html: of `name_modules`, which names those that are loaded at once; `import('./x')` in a module names others
+    """
+    web = web.resolve()
+    nearest = [web / address for address in dict.fromkeys(_ADDRESS.findall(html))]
+    found: dict[Path, None] = {}
+    while nearest:
+        found |= dict.fromkeys(nearest)
+        later = [module for each in nearest for module in (*_imports_of(each), *_later_imports(each))]
+        nearest = [each for each in dict.fromkeys(later) if each not in found]
+    return [each for each in found if each.parent.name != "vendor"]
+
+
+def _later_imports(module: Path) -> list[Path]:
+    return [(module.parent / name).resolve() for name in _LATER.findall(module.read_text(encoding="utf-8"))]
 
 
 def _imports_of(module: Path) -> tuple[Path, ...]:

@@ -1,20 +1,24 @@
-"""Pages in the reader's language: English as their files have it, German by two tables.
+"""Pages in the reader's language: English as their files have it, German by `services/web/texts.json`.
 
-services/web/texts.json has the sentences of the pages, services/web/server-texts.json those of gateway and worker which
-the pages show: what is wrong with a capture, what to do about it, how a thing was made.
+A page has its own language alone, and of it the sentences of its own scripts. Sentences of gateway and worker come in
+the reader's language with the answers that have them; those in stored manifests, which cannot be translated on the way,
+are translated by the scripts, with a catalogue that they load when they need it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 
-TEXTS = Path(__file__).parents[1] / "web" / "texts.json"
-SERVER_TEXTS = TEXTS.with_name("server-texts.json")
-LANGUAGES = ("en", "de")
+from capture2vr.gateway.languages import LANGUAGES, catalogue_of
+from capture2vr.gateway.page_modules import modules_of_page
+
+WEB = Path(__file__).parents[1] / "web"
+TEXTS = WEB / "texts.json"
 
 _ELEMENT = re.compile(
     r"(<(title|h1|h2|p|label|legend|summary|option|button|a|strong|code)\b[^>]*>)(.*?)(</\2>)", re.DOTALL
@@ -22,64 +26,50 @@ _ELEMENT = re.compile(
 _RUN = re.compile(r"(>)([^<>]+)(<)")
 _ATTRIBUTE = re.compile(r'(\s(?:aria-label|aria-roledescription|alt|placeholder|title)=")([^"]+)(")')
 _HEAD = re.compile(r'<html lang="en">\s*<head>')
+_SENTENCE = re.compile(r"\bt\(\s*'((?:[^'\\]|\\.)*)'")
 
 Translations = Mapping[str, str]
-
-
-def preferred_language(accept: str, languages: tuple[str, ...] = LANGUAGES) -> str:
-    """Return the one of these languages that an Accept-Language header wants most; the first of them for none."""
-    wanted = [_parse_range(each) for each in accept.split(",")]
-    for _, language in sorted(wanted, key=lambda each: -each[0]):
-        if language in languages:
-            return language
-    return languages[0]
-
-
-def _parse_range(text: str) -> tuple[float, str]:
-    """Split a language range such as `de-AT;q=0.8` into its weight, from 0 to 1, and its language without a region."""
-    tag, _, weight = text.partition(";")
-    try:
-        quality = float(weight.strip().removeprefix("q=") or 1)
-    except ValueError:
-        quality = 0.0
-    return quality, tag.strip().split("-")[0].lower()
 
 
 @lru_cache(maxsize=1)
 def german_texts() -> Translations:
     """Read the table of German texts by their English ones."""
-    return _read_table(TEXTS)
-
-
-@lru_cache(maxsize=1)
-def german_server_texts() -> Translations:
-    """Read the table of the German sentences of gateway and worker by their English ones."""
-    return _read_table(SERVER_TEXTS)
-
-
-def _read_table(path: Path) -> Translations:
-    table: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
+    table: dict[str, str] = json.loads(TEXTS.read_text(encoding="utf-8"))
     return table
 
 
-def _table_element(name: str, table: Translations) -> str:
-    """Return an element that hands a table to the scripts of a page."""
-    content = json.dumps(table, ensure_ascii=False).replace("<", "\\u003c")
-    return f'<script id="{name}" type="application/json">{content}</script>'
+@lru_cache(maxsize=len(LANGUAGES))
+def stored_sentences(language: str) -> bytes:
+    """Return the catalogue by which scripts translate what is stored, as JSON: a language's sentences by code."""
+    return json.dumps(catalogue_of(language), ensure_ascii=False, separators=(",", ":")).encode()
+
+
+def sentences_address(language: str) -> str:
+    """Return the address of that catalogue, which changes with its content."""
+    return f"/web/sentences/{language}-{hashlib.sha256(stored_sentences(language)).hexdigest()[:16]}.json"
 
 
 @lru_cache(maxsize=32)  # more than there are pages
 def translate_page(html: str, language: str) -> str:
-    """Return a page in a language, with the tables that its scripts translate by, in the elements "texts" and, where it
-    delays nothing that is seen, "server-texts".
+    """Return a page in a language. Its element "texts" has the sentences of its scripts; `data-sentences` of <html> is
+    the address of the stored ones.
     """
     if language == LANGUAGES[0]:
         return html
-    head = f'<html lang="{language}">\n<head>\n  {_table_element("texts", german_texts())}'
+    content = json.dumps(texts_of_scripts(html), ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")
+    head = (
+        f'<html lang="{language}" data-sentences="{sentences_address(language)}">\n<head>\n'
+        f'  <script id="texts" type="application/json">{content}</script>'
+    )
     before, separator, body = html.partition("<title>")
-    page = _HEAD.sub(lambda _: head, before) + translate_markup(separator + body, german_texts().get)
-    seen, end, rest = page.rpartition("</body>")
-    return f"{seen}{_table_element('server-texts', german_server_texts())}\n{end}{rest}"
+    return _HEAD.sub(lambda _: head, before) + translate_markup(separator + body, german_texts().get)
+
+
+def texts_of_scripts(html: str) -> Translations:
+    """Return the part of the table that the scripts of a page may ask for."""
+    scripts = [html, *(module.read_text(encoding="utf-8") for module in modules_of_page(html, WEB))]
+    said = {text.replace("\\'", "'") for script in scripts for text in _SENTENCE.findall(script)}
+    return {english: german for english, german in german_texts().items() if english in said}
 
 
 def translate_markup(html: str, find: Callable[[str], str | None]) -> str:

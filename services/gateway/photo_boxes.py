@@ -10,6 +10,7 @@ from fastapi import Query
 
 from capture2vr.gateway.errors import Problem
 from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
+from capture2vr.sentences.sentence import say
 
 BoxQuery = Annotated[
     str,
@@ -41,4 +42,4 @@ def _as_problem() -> Iterator[None]:
     try:
         yield
     except InvalidBox as error:
-        raise Problem(422, "BOX_INVALID", f"box: {error}", hints=(HOW,)) from None
+        raise Problem(422, "BOX_INVALID", say("box_what", what=error), hints=(HOW,)) from None

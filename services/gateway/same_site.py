@@ -18,6 +18,7 @@ from starlette.datastructures import Headers
 
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.sentences.sentence import say
 
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _OWN_SITE = frozenset({"same-origin", "none"})  # "none": typed, or opened from a bookmark
@@ -52,10 +53,10 @@ class SiteRules:
         raise Problem(
             421,
             "HOST_UNKNOWN",
-            f"this gateway does not answer for the host '{name[:100]}'",
+            say("gateway_does_not_answer_host", name=name[:100]),
             hints=(
-                "use its address",
-                "an operator can add the name to GATEWAY_ALLOWED_HOSTS, or set GATEWAY_PUBLIC_URL",
+                say("use_address"),
+                say("operator_can_add_name"),
             ),
         )
 
@@ -69,8 +70,8 @@ class SiteRules:
             raise Problem(
                 403,
                 "CROSS_SITE",
-                "another web site asked for this change",
-                hints=("use the gateway's own pages", "an operator can add the site to GATEWAY_CORS_ORIGINS"),
+                say("another_web_site_asked_change"),
+                hints=(say("use_gateway_own_pages"), say("operator_can_add_site")),
             )
 
 

@@ -10,12 +10,14 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from capture2vr.gateway.jobs.job import Job, Order, State
+from capture2vr.gateway.languages import for_reader
 from capture2vr.gateway.workers.worker_types import WorkerPreset
 from capture2vr.order.asset_names import DESCRIPTION_CHARS, LABEL_CHARS, MOST_LABELS, check_description, check_labels
 from capture2vr.order.edits import LEAST_M, MOST_M, NO_EDITS, Edits
 from capture2vr.order.job_options import JobOptions
 from capture2vr.order.one_line import one_line
 from capture2vr.order.option_table import OPTION_TABLE, CutName, FillName, VisibilityName
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
@@ -113,7 +115,7 @@ class JobAgain(BaseModel):
     @model_validator(mode="after")
     def _require_change(self) -> JobAgain:
         if self.capture is None and self.cut is None and self.edits is None:
-            raise ValueError("say what is to be different: capture, cut or edits")
+            raise ValueError(say("say_what_to_be_different"))
         return self
 
     def order(self, earlier: Order) -> Order:
@@ -127,8 +129,27 @@ class JobAgain(BaseModel):
         return replace(earlier, options=options.choosing(cut=options.cut if self.cut is None else self.cut))
 
 
+class SentenceCode(BaseModel):
+    """What a sentence beside it is made from, whatever its language: its code, and its values by name."""
+
+    code: str
+    values: dict[str, Any]
+
+
+def _is_absent(codes: object) -> bool:
+    return not codes
+
+
+Coded = Annotated[SentenceCode | None, Field(exclude_if=_is_absent)]
+"""The member beside a sentence; it is left out where the sentence has no code."""
+AllCoded = Annotated[list[SentenceCode | None], Field(exclude_if=_is_absent)]
+"""The member beside a list of texts: null for each without a code."""
+
+
 class ProblemView(BaseModel):
-    """A problem document (RFC 9457). `code` is for programs; `detail` says what is wrong, `hints` what to do."""
+    """A problem document (RFC 9457). `code` is for programs; `detail` says what is wrong, `hints` what to do, in the
+    language of the request's Accept-Language. `detail_i18n` and `hints_i18n` have the codes of these sentences.
+    """
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -139,7 +160,7 @@ class ProblemView(BaseModel):
                 "detail": f"there is no capture {_EXAMPLE_CAPTURE}",
                 "code": "CAPTURE_UNKNOWN",
                 "retryable": False,
-                "hints": ["upload it first, with POST /v1/captures"],
+                "hints": [say("upload_first_with_post_v1")],
             }
         }
     )
@@ -153,6 +174,8 @@ class ProblemView(BaseModel):
     stage: str = ""
     file: str = ""
     hints: list[str] = []
+    detail_i18n: Coded = None
+    hints_i18n: AllCoded = []
 
 
 class PublishedView(BaseModel):
@@ -206,6 +229,7 @@ class JobView(BaseModel):
     asset: PublishedView | None
     error: ProblemView | None
     warnings: list[str]
+    warnings_i18n: AllCoded = []
     seconds: dict[str, float]
     links: Links
 
@@ -231,8 +255,8 @@ class JobView(BaseModel):
             updated=datetime.fromtimestamp(job.updated, UTC),
             preview=_published(job.preview),
             asset=_published(job.asset),
-            error=ProblemView.model_validate(job.error) if job.error else None,
-            warnings=list(job.warnings),
+            error=ProblemView.model_validate(for_reader(job.error)) if job.error else None,
+            **for_reader({"warnings": list(job.warnings)}),
             seconds=dict(job.seconds),
             links=_links(job),
         )
@@ -263,11 +287,11 @@ class PresetView(BaseModel):
         """Convert a worker's preset."""
         return cls(
             name=preset.name,
-            summary=preset.summary,
+            summary=for_reader(preset.summary),
             trained=preset.trained,
             memory_bytes=preset.memory_bytes,
             literature=preset.literature,
-            takes=preset.takes,
+            takes=for_reader(preset.takes),
         )
 
 

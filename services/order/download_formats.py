@@ -8,6 +8,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
+from capture2vr.sentences.sentence import say
+
 WRITERS = 2
 """Version of all that writes these formats. Raised when a file comes out different: files that were made before are
 then made again."""
@@ -53,95 +55,92 @@ FORMATS = {
     for each in (
         DownloadFormat(
             "3d-tiles",
-            "3D Tiles",
-            "The whole scene, all tiles in full detail, for Cesium: a zip of tileset.json and GLB. "
-            "PLY and STL have all of it too, the other formats its coarse whole. Metres, Z up.",
+            say("format_tiles_3d_title"),
+            say("format_tiles_3d_about"),
             "-3d-tiles.zip",
             (TILESET,),
             (TILES,),
         ),
-        DownloadFormat(
-            "glb", "GLB", "For nearly every 3D program: mesh and texture in one file. Metres, Y up.", ".glb", (FINEST,)
-        ),
+        DownloadFormat("glb", say("format_glb_title"), say("format_glb_about"), ".glb", (FINEST,)),
         DownloadFormat(
             "glb-meshopt",
-            "GLB, compressed",
-            "For web pages and game engines with a meshopt decoder: a quarter of the bytes. Metres, Y up.",
+            say("format_glb_meshopt_title"),
+            say("format_glb_meshopt_about"),
             "-meshopt.glb",
             (FINEST,),
         ),
         DownloadFormat(
             "obj",
-            "OBJ with texture",
-            "For older 3D programs: a zip of OBJ, MTL and JPEG. Metres, Y up.",
+            say("format_obj_title"),
+            say("format_obj_about"),
             "-obj.zip",
             (FINEST,),
         ),
         DownloadFormat(
             "ply",
-            "PLY mesh",
-            "For MeshLab, CloudCompare and scripts: every triangle, colours at the vertices. Metres, Z up.",
+            say("format_ply_title"),
+            say("format_ply_about"),
             ".ply",
             (MESH,),
             (TILESET, TILES),
         ),
         DownloadFormat(
             "stl",
-            "STL",
-            "For 3D printing: every triangle, no colours. Millimetres, Z up, as slicers expect.",
+            say("format_stl_title"),
+            say("format_stl_about"),
             ".stl",
             (MESH,),
             (TILESET, TILES),
         ),
         DownloadFormat(
             "usdz",
-            "USDZ",
-            "For iPhone, iPad and Mac: opens in Quick Look. Metres, Y up.",
+            say("format_usdz_title"),
+            say("format_usdz_about"),
             ".usdz",
             (FINEST,),
             ("asset.usdz",),
         ),
         DownloadFormat(
             "splats-spz",
-            "Splats, SPZ",
-            "Gaussian splats that cover the mesh, for splat viewers. Metres, Y up.",
+            say("format_splats_spz_title"),
+            say("format_splats_spz_about"),
             ".spz",
             (FINEST,),
             (SPLATS,),
         ),
         DownloadFormat(
             "splats-glb",
-            "Splats, GLB",
-            "The same as glTF with KHR_gaussian_splatting; other programs show points. Metres, Y up.",
+            say("format_splats_glb_title"),
+            say("format_splats_glb_about"),
             "-splats.glb",
             (FINEST,),
             (SPLATS,),
         ),
         DownloadFormat(
             "points-ply",
-            "Points, PLY",
-            "The captured points, for CloudCompare, MeshLab and scripts. Metres, Z up.",
+            say("format_points_ply_title"),
+            say("format_points_ply_about"),
             "-points.ply",
             (POINTS,),
         ),
         DownloadFormat(
             "points-laz",
-            "Points, LAZ",
-            "The captured points, compressed, for surveying and GIS programs. Metres, Z up.",
+            say("format_points_laz_title"),
+            say("format_points_laz_about"),
             "-points.laz",
             (POINTS,),
         ),
         DownloadFormat(
             "colmap",
-            "Cameras, COLMAP",
-            "Where each photo was taken from, for Gaussian splatting and other trainers: a zip of text. Metres, Z up.",
+            say("format_colmap_title"),
+            say("format_colmap_about"),
             "-colmap.zip",
             (CAMERAS, POINTS),
         ),
         DownloadFormat(
             "transforms",
-            "Cameras, transforms.json",
-            "The same for nerfstudio: put your photos into images/. Metres, Z up.",
+            say("format_transforms_title"),
+            say("format_transforms_about"),
             "-transforms.zip",
             (CAMERAS, POINTS),
         ),

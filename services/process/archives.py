@@ -20,6 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 from capture2vr.errors import Capture2vrError
+from capture2vr.sentences.sentence import say
 
 _BLOCK_BYTES = 1 << 20  # per read: a zip bomb can write at most this much more than its limit
 _COMPRESSIONS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what phones write; LZMA's dictionary alone may need GBs
@@ -79,7 +80,7 @@ _HINTS = {
     "ARCHIVE_TRAVERSAL": "zip the files again, as plain files in one folder",
     "ARCHIVE_BOMB": "send the files themselves, or zip them without compression",
     "ARCHIVE_NESTED": "unpack the inner archive and zip its files",
-    "ARCHIVE_TOO_MANY_ENTRIES": "send fewer frames, for example every second one",
+    "ARCHIVE_TOO_MANY_ENTRIES": say("send_fewer_frames_example_every"),
     "ARCHIVE_BROKEN": "zip the files again, without a password, and send all of it",
 }
 
@@ -169,12 +170,12 @@ def _check_directory_size(archive: Path, limits: ArchiveLimits) -> None:
         tail = file.read()
         at = len(tail) - 22 if tail[-22:-18] == b"PK\x05\x06" and tail[-2:] == b"\0\0" else tail.rfind(b"PK\x05\x06")
         if at < 0 or len(tail) - at < 22:
-            raise ArchiveError("ARCHIVE_BROKEN", "the zip's central directory is missing: not a zip, or cut short")
+            raise ArchiveError("ARCHIVE_BROKEN", say("zip_central_directory_missing"))
         directory_bytes = struct.unpack_from("<I", tail, at + 12)[0]
         if at >= 76 and tail[at - 20 : at - 16] == b"PK\x06\x07":
             directory_bytes = max(directory_bytes % 0xFFFFFFFF, struct.unpack_from("<Q", tail, at - 36)[0])
     if directory_bytes > limits.entries * _DIRECTORY_BYTES:
-        raise ArchiveError("ARCHIVE_TOO_MANY_ENTRIES", f"the archive's list of files has {directory_bytes:,} bytes")
+        raise ArchiveError("ARCHIVE_TOO_MANY_ENTRIES", say("archive_list_files_has_bytes", size=directory_bytes))
 
 
 def _entries_to_unpack(infos: Sequence[zipfile.ZipInfo], limits: ArchiveLimits) -> list[_Entry]:
@@ -185,7 +186,7 @@ def _entries_to_unpack(infos: Sequence[zipfile.ZipInfo], limits: ArchiveLimits) 
     if len(infos) > limits.entries:
         raise ArchiveError(
             "ARCHIVE_TOO_MANY_ENTRIES",
-            f"the archive has {len(infos):,} entries; at most {limits.entries:,} are allowed",
+            say("archive_has_entries_most_allowed", count=len(infos), most=limits.entries),
         )
     entries = []
     for info in infos:
@@ -206,7 +207,7 @@ def _safe_path(info: zipfile.ZipInfo) -> PurePosixPath:
     """
     name = info.orig_filename
     if "\\" in name or name.startswith("/") or _DRIVE_LETTER.match(name) or ".." in name.split("/"):
-        raise ArchiveError("ARCHIVE_TRAVERSAL", "the file's name points outside of the archive", _printable(name))
+        raise ArchiveError("ARCHIVE_TRAVERSAL", say("file_name_points_outside_archive"), _printable(name))
     path = PurePosixPath(name)
     if (
         not path.parts
@@ -214,9 +215,7 @@ def _safe_path(info: zipfile.ZipInfo) -> PurePosixPath:
         or any(_utf8_bytes(part) > _MAX_NAME_BYTES for part in path.parts)
         or _utf8_bytes(name) > _MAX_PATH_BYTES
     ):
-        raise ArchiveError(
-            "ARCHIVE_BROKEN", "the file's name is empty, too long or has control characters", _printable(name)
-        )
+        raise ArchiveError("ARCHIVE_BROKEN", say("file_name_empty_too_long"), _printable(name))
     return path
 
 
@@ -228,15 +227,13 @@ def _check_kind(info: zipfile.ZipInfo) -> None:
     """Raises ArchiveError for links, devices, encrypted entries and unknown compression methods."""
     kind = stat.S_IFMT(info.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        raise ArchiveError(
-            "ARCHIVE_TRAVERSAL", "the entry is a link or a device, not a file", _printable(info.orig_filename)
-        )
+        raise ArchiveError("ARCHIVE_TRAVERSAL", say("entry_link_device_not_file"), _printable(info.orig_filename))
     if info.flag_bits & _ENCRYPTED:
-        raise ArchiveError("ARCHIVE_BROKEN", "the file is encrypted with a password", _printable(info.orig_filename))
+        raise ArchiveError("ARCHIVE_BROKEN", say("file_encrypted_with_password"), _printable(info.orig_filename))
     if info.compress_type not in _COMPRESSIONS:
         raise ArchiveError(
             "ARCHIVE_BROKEN",
-            f"compression method {info.compress_type} is not supported",
+            say("compression_method_not_supported", number=info.compress_type),
             _printable(info.orig_filename),
         )
 
@@ -249,11 +246,11 @@ def _check_distinct(entries: Sequence[_Entry]) -> None:
     paths: set[PurePosixPath] = set()
     for entry in entries:
         if entry.path in paths:
-            raise ArchiveError("ARCHIVE_BROKEN", "the archive has two files of this name", str(entry.path))
+            raise ArchiveError("ARCHIVE_BROKEN", say("archive_has_two_files_name"), str(entry.path))
         paths.add(entry.path)
     for entry in entries:
         if not paths.isdisjoint(entry.path.parents):
-            raise ArchiveError("ARCHIVE_BROKEN", "a folder and a file have the same name", str(entry.path))
+            raise ArchiveError("ARCHIVE_BROKEN", say("folder_file_have_same_name"), str(entry.path))
 
 
 def _strip_top_folder(entries: list[_Entry]) -> list[_Entry]:
@@ -279,7 +276,7 @@ def _extract_all(
                 sink.write(block)
         if size != entry.info.file_size:
             raise ArchiveError(
-                "ARCHIVE_BROKEN", f"the file has {size:,} of {entry.info.file_size:,} bytes", str(entry.path)
+                "ARCHIVE_BROKEN", say("file_has_bytes", size=size, whole=entry.info.file_size), str(entry.path)
             )
         _check_not_nested(target, str(entry.path))
 
@@ -296,13 +293,13 @@ def _translate_damage(file: str | None = None) -> Iterator[None]:
     try:
         yield
     except _DAMAGE_ERRORS as error:
-        raise ArchiveError("ARCHIVE_BROKEN", f"the archive is damaged: {error}", file) from None
+        raise ArchiveError("ARCHIVE_BROKEN", say("archive_damaged", why=error), file) from None
     except OSError as error:
         if (
             error.errno != errno.EINVAL
         ):  # a seek before the beginning, which only a wrong offset in the archive asks for
             raise
-        raise ArchiveError("ARCHIVE_BROKEN", "the archive is damaged: an offset is wrong", file) from None
+        raise ArchiveError("ARCHIVE_BROKEN", say("archive_damaged_offset_wrong"), file) from None
 
 
 def _check_growth(entry: _Entry, size: int, total: int, limits: ArchiveLimits, archive_bytes: int) -> None:
@@ -323,7 +320,7 @@ def _check_growth(entry: _Entry, size: int, total: int, limits: ArchiveLimits, a
 def _check_not_nested(path: Path, name: str) -> None:
     with path.open("rb") as file:
         if _is_archive(file):
-            raise ArchiveError("ARCHIVE_NESTED", "the archive contains another archive", name)
+            raise ArchiveError("ARCHIVE_NESTED", say("archive_contains_another_archive"), name)
 
 
 def _is_archive(file: BinaryIO) -> bool:

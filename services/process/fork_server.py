@@ -27,6 +27,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from capture2vr.sentences.documents import with_codes
+
 Send = Callable[[dict[str, Any]], None]
 """Sends a message to the service."""
 
@@ -143,7 +145,7 @@ def _run(channel: socket.socket, work: Work) -> None:
 
 
 def _send(channel: socket.socket, message: dict[str, Any]) -> None:
-    channel.sendall(json.dumps(message).encode() + b"\n")
+    channel.sendall(json.dumps(with_codes(message)).encode() + b"\n")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from capture2vr.gateway.database.instance_lock import FolderInUse, lock_instance, lock_replica
-from capture2vr.gateway.routes.pages import WEB
+from capture2vr.gateway.page_texts import WEB
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.process.strict_settings import SettingsError
 from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from capture2vr.gateway import page_texts
 from capture2vr.gateway.page_modules import name_modules, static_imports
-from capture2vr.gateway.routes import pages
 
-WEB = pages.WEB.resolve()  # the package may be a link, and imports between modules are resolved
+WEB = page_texts.WEB.resolve()  # the package may be a link, and imports between modules are resolved
 _LINK = re.compile(r'<link rel="modulepreload" fetchpriority="low" href="/web/([^"]+)">')
 _SOURCE = re.compile(r"""^\s*(?:import|export)\b.*\bfrom '(\.[^']+)';""", re.MULTILINE)
 _PAGES = sorted(WEB.rglob("*.html"))

@@ -10,12 +10,8 @@ from pathlib import Path
 
 import httpx
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from capture2vr.gateway.page_texts import LANGUAGES, german_texts, one_line, preferred_language, translate_page
-from capture2vr.gateway.routes.pages import WEB
-from capture2vr.order.download_formats import FORMATS
+from capture2vr.gateway.page_texts import WEB, german_texts, one_line, texts_of_scripts, translate_page
 from tests.support.in_process_gateway import gateway, memory
 
 PAGES = sorted(path for path in WEB.glob("*/*.html") if path.parent.name != "admin")
@@ -24,29 +20,6 @@ HEARD = ("aria-label", "aria-roledescription", "alt", "placeholder", "title")  #
 ONLY_NAMES = {"capture2vr", "123 456", "c2v_…"}  # the same in every language
 _CALL = re.compile(r"\bt\(\s*'((?:[^'\\]|\\.)*)'")
 _PLACE = re.compile(r"\{\w+\}")
-
-
-@pytest.mark.parametrize(
-    ("accept", "language"),
-    [
-        ("", "en"),
-        ("de", "de"),
-        ("de-AT,de;q=0.9,en;q=0.8", "de"),
-        ("en-GB,en;q=0.9,de;q=0.8", "en"),
-        ("fr-FR,de;q=0.5,en;q=0.7", "en"),
-        ("fr, DE;q=0.3", "de"),
-        ("de;q=0.4,en", "en"),
-        ("*", "en"),
-        ("de;q=x", "de"),
-    ],
-)
-def test_the_language_is_the_one_that_the_browser_wants_most(accept: str, language: str) -> None:
-    assert preferred_language(accept) == language
-
-
-@given(st.text())
-def test_any_header_leads_to_a_language(accept: str) -> None:
-    assert preferred_language(accept) in LANGUAGES
 
 
 class Texts(HTMLParser):
@@ -79,12 +52,11 @@ def test_every_text_of_a_page_is_german_in_the_german_page(page: Path) -> None:
     table = german_texts()
     known = ONLY_NAMES | set(table.values())
     assert [text for text in texts if not any(text in value for value in known)] == []
-    assert '<html lang="de">' in german
+    assert '<html lang="de"' in german
 
 
 def test_every_sentence_of_the_scripts_has_a_translation_and_no_translation_is_without_use() -> None:
     said = {text.replace("\\'", "'") for path in SCRIPTS for text in _CALL.findall(path.read_text(encoding="utf-8"))}
-    said |= {text for each in FORMATS.values() for text in (each.title, each.about)}  # which the API tells
     table = german_texts()
     assert said - set(table) == set()
     pages = " ".join(one_line(path.read_text(encoding="utf-8")) for path in PAGES)
@@ -112,12 +84,40 @@ async def test_a_german_browser_gets_the_german_page_with_the_table_for_its_scri
     assert "<h1>Ein Ding aufnehmen</h1>" in page.text
     found = re.search(r'<script id="texts" type="application/json">(.*?)</script>', page.text, re.DOTALL)
     assert found is not None
-    assert json.loads(found[1]) == german_texts()
+    table = json.loads(found[1])
+    assert table == texts_of_scripts(page.text)
+    assert 100 < len(table) < len(german_texts()), "only what this page's scripts say"
+    assert table["Waiting for a worker"]
+
+
+@pytest.mark.parametrize("path", ["/", "/view/any", "/browse/default", "/edit/any", "/login", "/pair"])
+async def test_a_german_page_is_small(client: httpx.AsyncClient, path: str) -> None:
+    headers = {"Accept-Language": "de", "Accept-Encoding": "gzip"}
+    async with client.stream("GET", path, headers=headers) as page:
+        assert sum([len(chunk) async for chunk in page.aiter_raw()]) <= 12_000
+        assert page.headers["content-encoding"] == "gzip"
+
+
+async def test_scripts_get_what_is_stored_in_german_and_keep_it_for_ever(client: httpx.AsyncClient) -> None:
+    page = await client.get("/", headers={"Accept-Language": "de"})
+    found = re.search('<html lang="de" data-sentences="([^"]+)">', page.text)
+    assert found is not None
+    sentences = await client.get(found[1])
+    assert sentences.json()["has_no_points"] == "hat keine Punkte"
+    assert "immutable" in sentences.headers["cache-control"]
+    for unknown in ("de-0000000000000000", "en-0000000000000000", "fr", "de"):
+        assert (await client.get(f"/web/sentences/{unknown}.json")).status_code == 404
+    shell = await client.get("/web/shell.json", headers={"Accept-Language": "de"})
+    assert found[1] in shell.json()["files"], "or the page would be English without the server"
+    english = await client.get("/web/shell.json")
+    assert found[1] not in english.json()["files"]
+    assert english.json()["version"] != shell.json()["version"]
 
 
 async def test_others_get_the_english_page_and_operators_pages_are_english(client: httpx.AsyncClient) -> None:
     page = await client.get("/", headers={"Accept-Language": "fr"})
-    assert (page.headers["content-language"], 'id="texts"' in page.text) == ("en", False)
+    assert page.headers["content-language"] == "en"
+    assert not re.search('id="texts"|data-sentences', page.text)
     assert "<h1>Capture a thing</h1>" in page.text
     operators = await client.get("/admin", headers={"Accept-Language": "de"})
     assert operators.headers["content-language"] == "en"

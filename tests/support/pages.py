@@ -6,7 +6,7 @@ import re
 
 from playwright.sync_api import Error, Locator, Page
 
-from capture2vr.gateway.routes.pages import WEB
+from capture2vr.gateway.page_texts import WEB
 
 _TIME_LIMITS = WEB / "shared" / "time-limits.js"
 

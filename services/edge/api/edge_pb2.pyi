@@ -131,7 +131,7 @@ class Event(_message.Message):
     def __init__(self, job: _Optional[str] = ..., seq: _Optional[int] = ..., elapsed_s: _Optional[float] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., heartbeat: _Optional[_Union[Heartbeat, _Mapping]] = ..., published: _Optional[_Union[Published, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., finished: _Optional[_Union[Finished, _Mapping]] = ..., anchors: _Optional[_Union[AnchorPoints, _Mapping]] = ...) -> None: ...
 
 class Progress(_message.Message):
-    __slots__ = ("stage", "fraction", "losses", "eta_s", "message")
+    __slots__ = ("stage", "fraction", "losses", "eta_s", "message", "i18n")
     class LossesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -144,12 +144,14 @@ class Progress(_message.Message):
     LOSSES_FIELD_NUMBER: _ClassVar[int]
     ETA_S_FIELD_NUMBER: _ClassVar[int]
     MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    I18N_FIELD_NUMBER: _ClassVar[int]
     stage: Stage
     fraction: float
     losses: _containers.ScalarMap[str, float]
     eta_s: float
     message: str
-    def __init__(self, stage: _Optional[_Union[Stage, str]] = ..., fraction: _Optional[float] = ..., losses: _Optional[_Mapping[str, float]] = ..., eta_s: _Optional[float] = ..., message: _Optional[str] = ...) -> None: ...
+    i18n: str
+    def __init__(self, stage: _Optional[_Union[Stage, str]] = ..., fraction: _Optional[float] = ..., losses: _Optional[_Mapping[str, float]] = ..., eta_s: _Optional[float] = ..., message: _Optional[str] = ..., i18n: _Optional[str] = ...) -> None: ...
 
 class Heartbeat(_message.Message):
     __slots__ = ()
@@ -178,23 +180,25 @@ class Published(_message.Message):
     def __init__(self, asset_key: _Optional[str] = ..., version: _Optional[int] = ..., state: _Optional[str] = ..., manifest: _Optional[str] = ..., collection: _Optional[str] = ...) -> None: ...
 
 class Failure(_message.Message):
-    __slots__ = ("code", "message", "file", "hints", "retryable", "stage")
+    __slots__ = ("code", "message", "file", "hints", "retryable", "stage", "i18n")
     CODE_FIELD_NUMBER: _ClassVar[int]
     MESSAGE_FIELD_NUMBER: _ClassVar[int]
     FILE_FIELD_NUMBER: _ClassVar[int]
     HINTS_FIELD_NUMBER: _ClassVar[int]
     RETRYABLE_FIELD_NUMBER: _ClassVar[int]
     STAGE_FIELD_NUMBER: _ClassVar[int]
+    I18N_FIELD_NUMBER: _ClassVar[int]
     code: str
     message: str
     file: str
     hints: _containers.RepeatedScalarFieldContainer[str]
     retryable: bool
     stage: Stage
-    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ..., file: _Optional[str] = ..., hints: _Optional[_Iterable[str]] = ..., retryable: _Optional[bool] = ..., stage: _Optional[_Union[Stage, str]] = ...) -> None: ...
+    i18n: str
+    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ..., file: _Optional[str] = ..., hints: _Optional[_Iterable[str]] = ..., retryable: _Optional[bool] = ..., stage: _Optional[_Union[Stage, str]] = ..., i18n: _Optional[str] = ...) -> None: ...
 
 class Finished(_message.Message):
-    __slots__ = ("warnings", "seconds")
+    __slots__ = ("warnings", "seconds", "i18n")
     class SecondsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -204,12 +208,14 @@ class Finished(_message.Message):
         def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
     SECONDS_FIELD_NUMBER: _ClassVar[int]
+    I18N_FIELD_NUMBER: _ClassVar[int]
     warnings: _containers.RepeatedScalarFieldContainer[str]
     seconds: _containers.ScalarMap[str, float]
-    def __init__(self, warnings: _Optional[_Iterable[str]] = ..., seconds: _Optional[_Mapping[str, float]] = ...) -> None: ...
+    i18n: str
+    def __init__(self, warnings: _Optional[_Iterable[str]] = ..., seconds: _Optional[_Mapping[str, float]] = ..., i18n: _Optional[str] = ...) -> None: ...
 
 class Inspection(_message.Message):
-    __slots__ = ("kind", "format", "frames", "points", "warnings", "failure", "outline")
+    __slots__ = ("kind", "format", "frames", "points", "warnings", "failure", "outline", "i18n")
     KIND_FIELD_NUMBER: _ClassVar[int]
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -217,6 +223,7 @@ class Inspection(_message.Message):
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     OUTLINE_FIELD_NUMBER: _ClassVar[int]
+    I18N_FIELD_NUMBER: _ClassVar[int]
     kind: str
     format: str
     frames: int
@@ -224,7 +231,8 @@ class Inspection(_message.Message):
     warnings: _containers.RepeatedScalarFieldContainer[str]
     failure: Failure
     outline: _containers.RepeatedCompositeFieldContainer[Polygon]
-    def __init__(self, kind: _Optional[str] = ..., format: _Optional[str] = ..., frames: _Optional[int] = ..., points: _Optional[int] = ..., warnings: _Optional[_Iterable[str]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., outline: _Optional[_Iterable[_Union[Polygon, _Mapping]]] = ...) -> None: ...
+    i18n: str
+    def __init__(self, kind: _Optional[str] = ..., format: _Optional[str] = ..., frames: _Optional[int] = ..., points: _Optional[int] = ..., warnings: _Optional[_Iterable[str]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., outline: _Optional[_Iterable[_Union[Polygon, _Mapping]]] = ..., i18n: _Optional[str] = ...) -> None: ...
 
 class Polygon(_message.Message):
     __slots__ = ("xy",)
@@ -287,20 +295,22 @@ class Worker(_message.Message):
     def __init__(self, version: _Optional[str] = ..., device: _Optional[str] = ..., presets: _Optional[_Iterable[_Union[Preset, _Mapping]]] = ..., slots: _Optional[int] = ..., free_slots: _Optional[int] = ..., queued: _Optional[int] = ..., draining: _Optional[bool] = ..., jobs: _Optional[_Iterable[str]] = ..., memory_bytes: _Optional[int] = ..., points_version: _Optional[int] = ..., central: _Optional[str] = ...) -> None: ...
 
 class Preset(_message.Message):
-    __slots__ = ("name", "summary", "trained", "memory_bytes", "literature", "takes")
+    __slots__ = ("name", "summary", "trained", "memory_bytes", "literature", "takes", "i18n")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SUMMARY_FIELD_NUMBER: _ClassVar[int]
     TRAINED_FIELD_NUMBER: _ClassVar[int]
     MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
     LITERATURE_FIELD_NUMBER: _ClassVar[int]
     TAKES_FIELD_NUMBER: _ClassVar[int]
+    I18N_FIELD_NUMBER: _ClassVar[int]
     name: str
     summary: str
     trained: bool
     memory_bytes: int
     literature: bool
     takes: str
-    def __init__(self, name: _Optional[str] = ..., summary: _Optional[str] = ..., trained: _Optional[bool] = ..., memory_bytes: _Optional[int] = ..., literature: _Optional[bool] = ..., takes: _Optional[str] = ...) -> None: ...
+    i18n: str
+    def __init__(self, name: _Optional[str] = ..., summary: _Optional[str] = ..., trained: _Optional[bool] = ..., memory_bytes: _Optional[int] = ..., literature: _Optional[bool] = ..., takes: _Optional[str] = ..., i18n: _Optional[str] = ...) -> None: ...
 
 class DownloadRequest(_message.Message):
     __slots__ = ("tenant", "asset_key", "manifest", "format")

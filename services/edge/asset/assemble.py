@@ -20,6 +20,7 @@ from capture2vr.edge.job_resources import CPU_ALONE, JobResources
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.progress import Bar, Clock, Progress
 from capture2vr.edge.texture.nearest_colour import transfer_colours
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, State
 
 _LODS_SHARE = 0.3  # of the TEXTURING stage's time goes into levels of detail, where they get textures too
@@ -60,7 +61,7 @@ def colour_levels(
     to_asset  (4,4) from the capture frame to the asset frame; None: the mesh stands on the asset frame's floor
     """
     points, mesh_unit = subject.points, surface.mesh_unit
-    yield bar.begin("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
+    yield bar.begin("TEXTURING", say("count_triangles", count=len(mesh_unit.faces)))
     with clock("TEXTURING"):
         if points.rgb is not None:
             mesh_unit = transfer_colours(mesh_unit, subject.xyz_unit, points.rgb)
@@ -92,19 +93,19 @@ def assemble_bundle(
     texture_warnings: tuple[str, ...] = ()
     failed = None
     if last:
-        yield bar.begin("TEXTURING", f"textures of {len(levels)} levels of detail")
+        yield bar.begin("TEXTURING", say("textures_levels_detail", count=len(levels)))
         with clock("TEXTURING"):
             end = _TEXTURES_END if subject.preset.splat_steps else 1
             rest = part_of(bar.tick("TEXTURING"), _LODS_SHARE, end)
             assets, texture_warnings, failed = _try_textures(coloured, subject, state, resources.encode, rest)
     splats: dict[str, bytes] = {}
     if last and subject.preset.splat_steps:
-        yield bar.advance("TEXTURING", _TEXTURES_END, "splats, trained on the photos")
+        yield bar.advance("TEXTURING", _TEXTURES_END, say("splats_trained_on_photos"))
         with clock("TEXTURING"):
             rest = part_of(bar.tick("TEXTURING"), _TEXTURES_END, 1)
             splats, splat_warnings = splat_file(assets[0], subject, to_asset, resources.device, rest)
             texture_warnings += splat_warnings
-    yield bar.begin("PACKING", "files and preview images")
+    yield bar.begin("PACKING", say("files_preview_images"))
     with clock("PACKING"):
         tick = bar.tick("PACKING")
         files = {f"lod{level}.glb": pack_glb(asset, subject.target) for level, asset in enumerate(assets)}
@@ -131,7 +132,7 @@ def assemble_bundle(
     if state == "refined":
         require_budget(subject.target, costs)
     # The last report before the bundle goes to the store: it raises Cancelled, and nothing is published then.
-    yield bar.begin("PUBLISHING", f"publishing the {state}")
+    yield bar.begin("PUBLISHING", publishing(state))
     yield Bundle(state=state, files=files, manifest=manifest, private=private, last=last)
     # A preview is published even without its textures and beyond the budget: better than nothing to look at.
     if failed:
@@ -162,3 +163,8 @@ def _try_textures(
         if state == "refined":
             raise
         return coloured.levels, (), error
+
+
+def publishing(state: State) -> str:
+    """Return the message of the stage PUBLISHING."""
+    return say("publishing", state=say("word_preview" if state == "preview" else "word_refined"))

@@ -21,6 +21,7 @@ from capture2vr.edge.points.nouns import Points, UnitFrame
 from capture2vr.edge.preset import Preset
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.option_table import Fill
+from capture2vr.sentences.sentence import say
 
 _TOLD = 0.005  # share of filled surface from which on a person is told
 _DEFAULT_UP = np.array([0.0, 1.0, 0.0])  # as in modelling tools and glTF; scanners that differ say so in their format
@@ -123,7 +124,7 @@ class MeasuredSurface:
     def warnings(self) -> tuple[str, ...]:
         """Sentences about what a person would notice of the surface."""
         share = self.surface.share
-        filled = f"{share:.1%} of the surface was filled in: the photos show no more of it" if share >= _TOLD else ""
+        filled = say("surface_filled_in_photos_show", share=share) if share >= _TOLD else ""
         return (*((filled,) if filled else ()), *self.check.warnings())
 
     def quality(self, preset: Preset, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -159,7 +160,7 @@ def build_manifest(
     anchors, anchor_colours = anchors_m(points, to_asset)
     all_warnings = [*points.warnings, *warnings]
     if points.up is None:
-        all_warnings.append("The capture does not say which way is up: its Y axis was taken as up.")
+        all_warnings.append(say("capture_does_not_say_way"))
     return {
         "generator": f"capture2vr {capture2vr.__version__}",
         **subject.names.as_json,

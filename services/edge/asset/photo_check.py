@@ -29,6 +29,7 @@ from capture2vr.edge.render.piece_support import piece_support
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.silhouette import outside_outlines
 from capture2vr.order.option_table import Fill
+from capture2vr.sentences.sentence import say
 
 _MOST_OUTLINES = 20
 """Photos that are asked for outlines, evenly chosen: each takes a tenth of a second."""
@@ -68,18 +69,12 @@ class PhotoCheck:
         found = []
         if figures.lace > _MANY_HOLES:
             worst = max(self.surface, key=lambda check: check.figures.lace)
-            found.append(
-                f"{figures.lace:.0%} of what your photos show of the thing is missing from the mesh. Shoot the side "
-                f"that {worst.picture.name} shows again: closer, in steps of 10 degrees, in even light"
-            )
+            found.append(say("what_your_photos_show_thing", share=figures.lace, photo=worst.picture.name))
         if figures.inside_out > _MUCH_INSIDE:
-            found.append(f"{figures.inside_out:.0%} of what is seen is the inside of the thing, through holes in it")
+            found.append(say("what_seen_inside_thing_through", share=figures.inside_out))
         if figures.leak > _MUCH_LEAK:
             worst = max(self.surface, key=lambda check: check.figures.leak)
-            found.append(
-                f"{figures.leak:.0%} of the surface lies where your photos show background, most of it in "
-                f"{worst.picture.name}. Choose a background of another colour than the thing, or move it away"
-            )
+            found.append(say("surface_lies_where_your_photos", share=figures.leak, photo=worst.picture.name))
         return tuple(found)
 
 

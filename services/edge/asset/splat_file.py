@@ -10,6 +10,7 @@ from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.splats.spz import to_spz
 from capture2vr.edge.splats.surface_splats import cover_with_splats
 from capture2vr.order.download_formats import SPLATS
+from capture2vr.sentences.sentence import say
 
 _COUNT = 100_000  # a third of what a headset draws, which a CPU trains in minutes
 
@@ -23,7 +24,7 @@ def splat_file(
     to_asset  (4,4) from the capture frame to the asset frame
     """
     if not subject.colours.texture_views:
-        return {}, ("no splats were trained: the capture has no photos",)
+        return {}, (say("no_splats_trained_capture"),)
     # Imported here: a worker that trains nothing must not load torch.
     from capture2vr.edge.splat_training.train_splats import train_splats
 
@@ -35,8 +36,8 @@ def splat_file(
     except EdgeError as error:
         if error.code == "GPU_OOM" and device != "cpu":
             files, warnings = splat_file(finest, subject, to_asset, "cpu", tick)
-            return files, (f"{error.message}; the splats were trained on the CPU", *warnings)
-        return {}, (f"no splats were trained: {error.message}",)
+            return files, (say("splats_trained_on_cpu", why=error.message), *warnings)
+        return {}, (say("no_splats_trained", why=error.message),)
     except MemoryError:
-        return {}, ("no splats were trained: there was not enough memory",)
+        return {}, (say("no_splats_trained_not_enough"),)
     return {SPLATS: to_spz(trained)}, ()

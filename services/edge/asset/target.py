@@ -17,6 +17,7 @@ from typing import Any
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.glb import KTX2, Packing
 from capture2vr.edge.export.ktx2 import Ktx2Header, ktx2_unavailable
+from capture2vr.sentences.sentence import in_row, say
 
 _MIB = 1 << 20
 _UNLIT, _KTX2, _NORMALS = "-unlit", "-ktx2", "-normals"
@@ -97,8 +98,8 @@ def target_of(name: str) -> Target:
     if base not in TARGETS or (ktx2 and not TARGETS[base].texture_px):
         known = ", ".join(TARGETS)
         suffixes = f"or one of them followed by {_UNLIT}, or by {_KTX2} or {_NORMALS} if it has textures"
-        hints = (f"use one of: {known}", suffixes)
-        raise EdgeError("TARGET_UNKNOWN", f"there is no target '{name}'", hints=hints)
+        hints = (say("use_one", names=known), suffixes)
+        raise EdgeError("TARGET_UNKNOWN", say("no_target", name=name), hints=hints)
     return replace(TARGETS[base], name=name, unlit=plain != base, ktx2=ktx2)
 
 
@@ -147,15 +148,15 @@ def _texture_bytes(document: dict[str, Any], image: dict[str, Any], binary: byte
 def require_budget(target: Target, levels: Sequence[Cost]) -> None:
     """Raise EdgeError BUDGET_UNREACHABLE, naming every level and figure that exceeds the target's budget."""
     exceeded = [
-        f"LOD {level} has {value:,} {unit}, the most is {limit:,}"
+        say("lod_has", level=level, value=value, unit=unit, limit=limit)
         for level, cost in enumerate(levels)
         for unit, value, limit in _limits(target, level, cost, last=level == len(levels) - 1)
         if limit and value > limit
     ]
     if exceeded:
         others = ", ".join(name for name in TARGETS if name != target.name)
-        hints = ("capture less around the object, or use a coarser preset", f"other targets: {others}")
-        message = f"the budget of target {target.name} is exceeded: {'; '.join(exceeded)}"
+        hints = (say("capture_less_around_object_use"), say("other_targets", names=others))
+        message = say("budget_target_exceeded", target=target.name, what=in_row("; ", exceeded))
         raise EdgeError("BUDGET_UNREACHABLE", message, hints=hints)
 
 
@@ -166,5 +167,5 @@ def _limits(target: Target, level: int, cost: Cost, *, last: bool) -> list[tuple
     return [
         ("triangles", cost.triangles, faces),
         ("bytes", cost.bytes, target.last_bytes if last else 0),
-        ("bytes on the device", unpacked, target.unpacked_bytes),
+        (say("bytes_on_device"), unpacked, target.unpacked_bytes),
     ]

@@ -23,6 +23,7 @@ from capture2vr.edge.child_process import ChildError, run_child
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.parallel import in_threads
 from capture2vr.process.child_start import python_command
+from capture2vr.sentences.sentence import say
 
 LONGEST_PX = 1024  # longer side of the pictures; 1280 with twice the key points takes four times as long a pair
 PICTURES, LEARNED = "pictures.npz", "learned.npz"
@@ -100,4 +101,4 @@ def _run(folder: Path, tick: Tick) -> None:
     try:
         run_child(command, "the matcher", folder / _LOG, tick, most_seconds=_SILENT_SECONDS, tells_progress=True)
     except ChildError as error:
-        raise EdgeError("ALIGN_FAILED", str(error), hints=("try again with fewer photos",)) from None
+        raise EdgeError("ALIGN_FAILED", str(error), hints=(say("try_again_with_fewer_photos"),)) from None

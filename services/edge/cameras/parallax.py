@@ -16,6 +16,7 @@ from capture2vr.edge.cameras.nouns import Alignment, PhotoView
 from capture2vr.edge.cameras.structure_from_motion import project
 from capture2vr.edge.capture.nouns import WALK_AROUND_ADVICE
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 _STEPS = (1, 2, 4)  # between the two photos of a pair, in the order of the capture
 _MOST_PAIRS = 60  # 0.3 s
@@ -37,11 +38,10 @@ def require_parallax(alignment: Alignment) -> None:
     if min(np.median([_off_rotation(h, size, focal) for h, size, _ in pairs]) for focal in _FOCALS) > _ROTATION:
         return
     first, last = alignment.views[0].photo.name, alignment.views[-1].photo.name
-    reason = (
-        f"from {first} to {last} the camera turned, but it did not move, or everything in view is far away, as a sky "
-        "is: such photos do not show how far away anything is"
+    reason = say("from_to_camera_turned", first=first, last=last)
+    raise CaptureError(
+        "CAPTURE_DEGENERATE", reason, hints=(say("walk_while_you_take_them", advice=WALK_AROUND_ADVICE),)
     )
-    raise CaptureError("CAPTURE_DEGENERATE", reason, hints=(f"walk while you take them: {WALK_AROUND_ADVICE}",))
 
 
 def _homographies(alignment: Alignment) -> list[tuple[Floats, tuple[int, int], bool]]:

@@ -18,6 +18,7 @@ from capture2vr.edge.cameras.structure_from_motion import align, project
 from capture2vr.edge.capture.frame_records import as_warnings
 from capture2vr.edge.capture.nouns import Frame, Photo
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 _MOST_FRAMES = 60  # as of a film: more cost seconds each, and made the cameras no more exact
 _ALIKE = 0.1  # relative difference from the scale within which depth and a point agree: a phone's depth errs by 2 %
@@ -62,7 +63,7 @@ def place_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> tuple[tuple[F
     metres = _metres_per_unit(alignment, chosen)
     placed = (replace(frame, camera_to_world=_scaled(view, metres))
               for frame, view in zip(chosen, alignment.views, strict=True))  # fmt: skip
-    return tuple(placed), (*as_warnings("frame skipped", damaged), *alignment.warnings)
+    return tuple(placed), (*as_warnings(say("frame_skipped"), damaged), *alignment.warnings)
 
 
 def _photo(frame: Frame) -> Photo:
@@ -84,8 +85,8 @@ def _metres_per_unit(alignment: Alignment, frames: Sequence[Frame]) -> float:
     ratios = np.concatenate([_depth_ratios(alignment, number, frame) for number, frame in enumerate(frames)])
     metres = float(np.median(ratios)) if len(ratios) >= _FEWEST else 0.0
     if not metres or np.mean(np.abs(ratios / metres - 1) < _ALIKE) < _AGREEING:
-        reason = "the pictures can be aligned, but the depth images do not show the same: they are of something else"
-        hints = ("check that depth images and pictures belong together, and are of the same size and direction",)
+        reason = say("pictures_can_be_aligned")
+        hints = (say("check_depth_images_pictures_belong"),)
         raise CaptureError("CAPTURE_NO_POSES", reason, file=frames[0].name, hints=hints)
     return metres
 

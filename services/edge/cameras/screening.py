@@ -15,6 +15,7 @@ from capture2vr.edge.arrays import Bools, Floats, Tick
 from capture2vr.edge.capture.nouns import Photo, PhotoVerdict
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.parallel import in_threads
+from capture2vr.sentences.sentence import say
 
 LONGEST_PX = 480  # longer side of the downscaled pictures
 # A photo is dark if its 50th and 95th percentile of 8-bit luma are below these. Both, since an object photographed on
@@ -55,7 +56,7 @@ def screen(photos: Sequence[Photo], *, tick: Tick) -> tuple[tuple[Photo, ...], t
     accepted: list[_PhotoTraits] = []
     for photo, traits in zip(photos, in_threads(_traits_or_error, photos, tick), strict=True):
         if isinstance(traits, CaptureError):
-            advice = f"It {traits.message}; send it again as a JPEG or HEIC."
+            advice = say("send_again_as_jpeg_heic_what", what=traits.message)
             verdicts.append(PhotoVerdict(photo.name, "unreadable", advice))
             continue
         verdict = _dark_verdict(traits) or _duplicate_verdict(traits, accepted)
@@ -113,7 +114,7 @@ def _difference_hash(luma: Floats) -> Bools:
 def _dark_verdict(traits: _PhotoTraits) -> PhotoVerdict | None:
     """Return a verdict if the photo is almost black."""
     if all(tone < limit for tone, limit in zip(traits.tones, _DARK, strict=True)):
-        return PhotoVerdict(traits.photo.name, "dark", "It is almost black; take it again with more light.")
+        return PhotoVerdict(traits.photo.name, "dark", say("almost_black_take_again"))
     return None
 
 
@@ -122,7 +123,7 @@ def _duplicate_verdict(traits: _PhotoTraits, accepted: Sequence[_PhotoTraits]) -
     for other in reversed(accepted):
         alike = int((traits.hash != other.hash).sum()) <= _COPY_BITS
         if alike and np.abs(traits.thumb - other.thumb).mean() <= _COPY_CHANGE * other.thumb.std():
-            advice = f"It shows the same as {other.photo.name}; take a step to the side between photos."
+            advice = say("shows_same_as_take_step", name=other.photo.name)
             return PhotoVerdict(traits.photo.name, "duplicate", advice)
     return None
 
@@ -142,4 +143,4 @@ def _blurred_names(accepted: Sequence[_PhotoTraits]) -> list[str]:
 
 
 def _blur_verdict(name: str) -> PhotoVerdict:
-    return PhotoVerdict(name, "blur", "It is blurred; hold still while taking it, or use more light.")
+    return PhotoVerdict(name, "blur", say("blurred_hold_still_while_taking"))

@@ -19,6 +19,7 @@ from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.child_process import ChildError, run_child
 from capture2vr.edge.errors import EdgeError
 from capture2vr.process.child_start import python_command
+from capture2vr.sentences.sentence import say
 
 Distortion = tuple[float, float, float, float, float]
 
@@ -107,7 +108,7 @@ def _run(folder: Path, tick: Tick) -> None:
     try:
         run_child(command, "the solver", folder / _LOG, tick, most_seconds=_SILENT_SECONDS, tells_progress=True)
     except ChildError as error:
-        hints = ("try again with fewer photos", "send smaller photos")
+        hints = (say("try_again_with_fewer_photos"), say("send_smaller_photos"))
         raise EdgeError("ALIGN_FAILED", str(error), hints=hints) from None
 
 

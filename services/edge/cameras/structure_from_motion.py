@@ -17,6 +17,7 @@ from capture2vr.edge.cameras.placement_attempts import Attempt, place
 from capture2vr.edge.cameras.placement_report import HOW_TO_SHOOT, low_overlap, placement_warnings, verdicts_on
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, Photo
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 
 def align(photos: Sequence[Photo], *, tick: Tick = no_tick) -> Alignment:
@@ -27,7 +28,7 @@ def align(photos: Sequence[Photo], *, tick: Tick = no_tick) -> Alignment:
     Raises CaptureError CAPTURE_LOW_OVERLAP, EdgeError ALIGN_FAILED, and what `tick` and `Photo.load` raise.
     """
     if len(photos) < MIN_PHOTOS:
-        reason = f"the capture has only {len(photos)} photos; at least {MIN_PHOTOS} are needed"
+        reason = say("capture_has_only_photos_least", count=len(photos), least=MIN_PHOTOS)
         raise CaptureError("CAPTURE_LOW_OVERLAP", reason, hints=(HOW_TO_SHOOT,))
     attempt = place(photos, tick)
     if not attempt.enough:

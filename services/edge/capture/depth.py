@@ -12,6 +12,7 @@ from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.capture.files import unreadable
 from capture2vr.edge.capture.images import decode_depth, decode_grey, decode_rgb, image_size, read_bytes
 from capture2vr.edge.capture.npy_array import npy_array
+from capture2vr.sentences.sentence import say
 
 _SATURATED = 65_535  # the largest value of 16 bits: beyond the sensor's range, or a marker for "unknown"
 MAX_DEPTH_M = 1_000.0  # metres; no phone measures further, so a larger value is a marker for "unknown"
@@ -88,7 +89,7 @@ class ArrayDepth:
     def _array(self) -> Floats:
         array = np.squeeze(npy_array(self.path, self.file))
         if array.ndim != 2:
-            raise unreadable(self.file, f"has an array of shape {array.shape}; a depth image has two dimensions")
+            raise unreadable(self.file, say("has_array_shape_depth_image", shape=array.shape))
         return array
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats, Tick, no_tick
 from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.sentences.sentence import say
 
 MAX_FILES = 20_000  # a minute of LiDAR at 60 frames/s with three files each is 10,800
 MAX_DEPTH = 6  # levels of folders below the capture's root that are listed
@@ -33,21 +34,21 @@ def translate_errors(file: str, what: str) -> Iterator[None]:
     except (CaptureError, Cancelled):
         raise
     except MemoryError:
-        raise CaptureError("CAPTURE_TOO_LARGE", f"not enough memory to read this {what}", file=file) from None
+        raise CaptureError("CAPTURE_TOO_LARGE", say("not_enough_memory_to_read", what=what), file=file) from None
     except Exception as error:  # noqa: BLE001 - parsers raise anything at all on hostile bytes
         text = error.strerror if isinstance(error, OSError) else str(error)  # str(OSError) has the server's own paths
         reason = " ".join((text or "").split())[:200] or type(error).__name__
-        raise unreadable(file, f"is not a readable {what} ({reason})") from None
+        raise unreadable(file, say("not_readable", what=what, reason=reason)) from None
 
 
 def unreadable(file: str, reason: str, *hints: str) -> CaptureError:
     """Return a CAPTURE_UNREADABLE error for a file whose content is not what its name or header says."""
-    return CaptureError("CAPTURE_UNREADABLE", reason, file=file, hints=hints or ("export the capture again",))
+    return CaptureError("CAPTURE_UNREADABLE", reason, file=file, hints=hints or (say("export_capture_again"),))
 
 
 def truncated(file: str, reason: str) -> CaptureError:
     """Return a CAPTURE_TRUNCATED error: the file is shorter than its own header says."""
-    return CaptureError("CAPTURE_TRUNCATED", reason, file=file, hints=("copy or export the file again",))
+    return CaptureError("CAPTURE_TRUNCATED", reason, file=file, hints=(say("copy_export_file_again"),))
 
 
 def number_order(name: str) -> tuple[tuple[int, str], ...]:
@@ -95,12 +96,12 @@ class Folder:
         Raises CAPTURE_UNREADABLE for a path that leads out of the capture's folder.
         """
         if not isinstance(written, str) or not written or "\0" in written:
-            raise unreadable(by, f"has {written!r} where the name of a file is expected"[:200])
+            raise unreadable(by, say("has_where_name_file_expected", written=repr(written))[:200])
         text = written.replace("\\", "/")
         name = posixpath.normpath(posixpath.join(base, text))
         if text.startswith("/") or re.match(r"[A-Za-z]:", text) or name.startswith("../") or name in ("..", "."):
-            reason = f"refers to {written[:120]!r}, which is outside the capture's folder"
-            raise unreadable(by, reason, "put that file into the capture's folder, and refer to it by a relative path")
+            reason = say("refers_to_outside_capture_folder", name=repr(written[:120]))
+            raise unreadable(by, reason, say("put_file_into_capture_folder"))
         return name
 
     def find(self, written: str, *, by: str) -> str | None:
@@ -143,14 +144,14 @@ def _list(folder: Path, prefix: str, depth: int, names: list[str]) -> None:
             elif entry.is_file(follow_symlinks=False):
                 names.append(prefix + entry.name)
             if len(names) > MAX_FILES:
-                raise CaptureError("CAPTURE_TOO_LARGE", f"the capture has more than {MAX_FILES:,} files")
+                raise CaptureError("CAPTURE_TOO_LARGE", say("capture_has_more_than_files", most=MAX_FILES))
 
 
 def read_text(path: Path, name: str) -> str:
     """Read a text file as UTF-8, with or without a byte order mark; invalid bytes become replacement characters."""
     with translate_errors(name, "text file"):
         if path.stat().st_size > MAX_TEXT_BYTES:
-            reason = f"is a text file of more than {MAX_TEXT_BYTES // 2**20} MiB, the most that is read"
+            reason = say("text_file_more_than_mib", size=MAX_TEXT_BYTES // 2**20)
             raise CaptureError("CAPTURE_TOO_LARGE", reason, file=name)
         return path.read_bytes().decode("utf-8-sig", errors="replace")
 
@@ -170,7 +171,7 @@ def parse_json(text: str, name: str) -> dict[str, Any]:
     with translate_errors(name, "JSON file"):
         value = json.loads(text)
     if not isinstance(value, dict):
-        raise unreadable(name, "is a JSON file, but its top level is not an object")
+        raise unreadable(name, say("json_file_but_top_level"))
     return value
 
 
@@ -179,12 +180,12 @@ def numbers(value: object, count: int, *, file: str, what: str) -> Floats:
     with translate_errors(file, f"list of numbers ({what})"):
         flat = np.asarray(value, np.float64).reshape(-1)
     if len(flat) != count:
-        raise unreadable(file, f"has {len(flat)} numbers in {what}; {count} are expected")
+        raise unreadable(file, say("has_numbers_in_expected", numbers=len(flat), what=what, count=count))
     return flat
 
 
 def number(record: Mapping[str, Any], key: str, *, file: str) -> float:
     """Return the number under a required key of a JSON object."""
     if key not in record:
-        raise unreadable(file, f"has no value for {key!r}")
+        raise unreadable(file, say("has_no_value", key=repr(key)))
     return float(numbers(record[key], 1, file=file, what=key)[0])

@@ -15,6 +15,7 @@ from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, ShownPictu
 from capture2vr.edge.capture.poses import Axes, checked_pose
 from capture2vr.edge.capture.upright_places import StoredPlaces
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import in_row, say
 
 MAX_BAD_SHARE = 0.1  # of the frames may have a broken pose or depth; they are dropped with a warning
 _FOCAL_RANGE = (0.05, 50.0)  # focal length over the image's longer side: a field of view of 170 degrees to 1 degree
@@ -73,7 +74,7 @@ def matrix_pinhole(k: Floats, size: tuple[int, int]) -> Intrinsics:
 def image_dimensions(width: float, height: float, file: str) -> tuple[int, int]:
     """Return width and height as `file` has them; CAPTURE_UNREADABLE for what no image can have."""
     if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
-        raise unreadable(file, f"has the impossible image size {width} x {height}")
+        raise unreadable(file, say("has_impossible_image_size_x", width=width, height=height))
     return int(width), int(height)
 
 
@@ -86,11 +87,8 @@ def checked_intrinsics(intrinsics: Intrinsics, file: str) -> Intrinsics:
     focal = all(low * longer <= f <= high * longer for f in (fx, fy))  # NaN fails
     inside = -width < cx < 2 * width and -height < cy < 2 * height
     if width < 1 or height < 1 or not focal or not inside:
-        what = (
-            f"has impossible camera intrinsics: focal length {fx:.4g} x {fy:.4g} pixels, principal point "
-            f"({cx:.4g}, {cy:.4g}), image {width} x {height}"
-        )
-        hint = ("export the capture again: its intrinsics are broken",)
+        what = say("has_impossible_camera_intrinsics_focal", fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
+        hint = (say("export_capture_again_intrinsics_broken"),)
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=file, hints=hint)
     return intrinsics
 
@@ -104,7 +102,7 @@ def rgbd_capture(
     file  is named in errors about the recording as a whole.
     """
     if not records:
-        raise CaptureError("CAPTURE_EMPTY", "has no frames with both depth and pose", file=file)
+        raise CaptureError("CAPTURE_EMPTY", say("has_no_frames_with_both"), file=file)
     frames, dropped = _valid_frames(records, axes)
     _check_sizes(frames)
     _check_depth(frames, file)
@@ -135,14 +133,14 @@ def _valid_frames(records: Sequence[FrameRecord], axes: Axes) -> tuple[list[Fram
             errors.append(error)
     if len(errors) > MAX_BAD_SHARE * len(records):
         raise errors[0]
-    return frames, [*as_warnings("frame skipped", errors), *as_warnings("colours skipped", colourless)]
+    return frames, [*as_warnings(say("frame_skipped"), errors), *as_warnings(say("colours_skipped"), colourless)]
 
 
 def as_warnings(what: str, errors: Sequence[CaptureError]) -> list[str]:
     """Return the first few errors as warnings, and the number of the others."""
     more = len(errors) - _FRAMES_TO_WARN_OF
-    warnings = [f"{what}: {error}" for error in errors[:_FRAMES_TO_WARN_OF]]
-    return [*warnings, f"{what}: {more} more"] if more > 0 else warnings
+    warnings: list[str] = [in_row(": ", (what, error.sentence)) for error in errors[:_FRAMES_TO_WARN_OF]]
+    return [*warnings, say("and_more_of_kind", what=what, count=more)] if more > 0 else warnings
 
 
 def _frame(record: FrameRecord, axes: Axes, colourless: list[CaptureError]) -> Frame:
@@ -151,9 +149,7 @@ def _frame(record: FrameRecord, axes: Axes, colourless: list[CaptureError]) -> F
     width, height = record.depth.size()
     camera = checked_intrinsics(record.intrinsics, record.name)
     if not _same_shape((width, height), (camera.width, camera.height)):
-        what = (
-            f"is {width} x {height}, but its intrinsics are for {camera.width} x {camera.height}: aspect ratios differ"
-        )
+        what = say("x_but_intrinsics_x_aspect", width=width, height=height, w=camera.width, h=camera.height)
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=record.depth.file)
     scaled = camera.scaled_to(width, height)
     load_rgb = None
@@ -191,7 +187,7 @@ def _colour_loader(colour: ColourSource | None, depth_size: tuple[int, int]) -> 
         return None
     width, height = colour.size()
     if not _same_shape((width, height), depth_size):
-        what = f"is {width} x {height}, but its depth is {depth_size[0]} x {depth_size[1]}: aspect ratios differ"
+        what = say("x_but_depth_x_aspect", width=width, height=height, w=depth_size[0], h=depth_size[1])
         raise CaptureError("IMAGE_UNREADABLE", what, file=colour.file)
     return colour.load
 
@@ -207,7 +203,7 @@ def _check_sizes(frames: Sequence[Frame]) -> None:
     for frame in frames:
         width, height = frame.intrinsics.width, frame.intrinsics.height
         if (width, height) != (first.width, first.height):
-            what = f"has a depth image of {width} x {height}; the first frame's is {first.width} x {first.height}"
+            what = say("has_depth_image_x_first", width=width, height=height, w=first.width, h=first.height)
             raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=frame.name)
 
 
@@ -228,11 +224,11 @@ def _check_depth(frames: Sequence[Frame], file: str) -> None:
     if len(broken) > MAX_BAD_SHARE * len(frames):
         raise broken[0]
     if not any(high > 0 for _, high in ranges):
-        hint = ("record again, and keep the thing within the sensor's range, 0.3 to 5 m",)
-        raise CaptureError("CAPTURE_EMPTY", "has depth images in which every pixel is empty", file=file, hints=hint)
+        hint = (say("record_again_keep_thing_within"),)
+        raise CaptureError("CAPTURE_EMPTY", say("has_depth_images_in_every"), file=file, hints=hint)
     if all(low == high for low, high in ranges):
-        what = f"has depth images that say {max(ranges)[1]:.3g} m at every pixel: they are placeholders, not measured"
-        hints = ("record again with an app that saves the sensor's depth", "or send the pictures alone, as photos")
+        what = say("has_depth_images_say_m", depth=max(ranges)[1])
+        hints = (say("record_again_with_app_saves"), say("send_pictures_alone_as_photos"))
         raise CaptureError("CAPTURE_DEGENERATE", what, file=file, hints=hints)
 
 
@@ -248,7 +244,7 @@ def _depth_range_m(frame: Frame, broken: list[CaptureError]) -> tuple[float, flo
         return 0.0, 0.0
     if depth_m.shape != (frame.intrinsics.height, frame.intrinsics.width):
         header = f"{frame.intrinsics.width} x {frame.intrinsics.height}"
-        what = f"decodes to {depth_m.shape[1]} x {depth_m.shape[0]} pixels, but its header says {header}"
+        what = say("decodes_to_x_pixels", width=depth_m.shape[1], height=depth_m.shape[0], header=header)
         raise CaptureError("IMAGE_UNREADABLE", what, file=frame.name)
     known = depth_m[depth_m > 0]
     return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
@@ -263,7 +259,7 @@ def _unit_warning(frames: Sequence[Frame]) -> tuple[str, ...]:
     median = float(np.median(depth_m[depth_m > 0])) if (depth_m > 0).any() else 0.0
     if median <= _FAR_M:
         return ()
-    return (f"the median depth of the first frame is {median:.0f} m; depth is probably in another unit",)
+    return (say("median_depth_first_frame_m", depth=median),)
 
 
 def without_poses(capture: Capture) -> Capture:
@@ -274,33 +270,36 @@ def without_poses(capture: Capture) -> Capture:
 def check_counts_match(depths: int, others: int, *, file: str, what: str) -> None:
     """Raise CAPTURE_COUNT_MISMATCH unless there are as many depth images as `others`, which pair by their order."""
     if depths != others:
-        hint = ("send the whole recording, every file of it",)
+        hint = (say("send_whole_recording_every_file"),)
         raise CaptureError(
-            "CAPTURE_COUNT_MISMATCH", f"there are {depths} depth images, but {others} {what}", file=file, hints=hint
+            "CAPTURE_COUNT_MISMATCH",
+            say("depth_images", depths=depths, others=others, what=what),
+            file=file,
+            hints=hint,
         )
 
 
 def check_mostly_paired(
-    both: int, images: int, poses: int, *, file: str, what: str, of: str = "depth images"
+    both: int, images: int, poses: int, *, file: str, what: str, of: str = say("word_depth_images")
 ) -> tuple[str, ...]:
     """Return a warning when some images have no pose or the reverse: recordings often lose a few at their end.
 
     Raises CAPTURE_COUNT_MISMATCH when more than MAX_BAD_SHARE (and more than one) have no partner.
     """
     if both == 0 or max(images, poses) - both > max(1, MAX_BAD_SHARE * max(images, poses)):
-        reason = f"there are {images} {of} and {poses} {what}, but only {both} match each other"
-        hint = ("send the whole recording, every file of it",)
+        reason = say("but_only_match_each_other", images=images, of=of, poses=poses, what=what, both=both)
+        hint = (say("send_whole_recording_every_file"),)
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=file, hints=hint)
     if both == images == poses:
         return ()
-    return (f"there are {images} {of} and {poses} {what}; only the {both} that match each other are used",)
+    return (say("only_match_each_other_used", images=images, of=of, poses=poses, what=what, both=both),)
 
 
 def missing_warning(names: Sequence[str], what: str) -> tuple[str, ...]:
     """Return a warning about files that a recording lists but does not contain; none for an empty list."""
     if not names:
         return ()
-    return (f"{len(names)} {what} missing: {first_names(names)}",)
+    return (say("missing_of_kind", count=len(names), what=what, names=first_names(names)),)
 
 
 def first_names(names: Sequence[str]) -> str:
@@ -310,7 +309,5 @@ def first_names(names: Sequence[str]) -> str:
 
 def no_poses(file: str, expected: str) -> CaptureError:
     """Return a CAPTURE_NO_POSES error; `expected` is the missing file or row."""
-    hint = (f"send {expected} with the depth images; for this format, poses are not computed from the images",)
-    return CaptureError(
-        "CAPTURE_NO_POSES", f"there are depth images, but no camera poses: {expected} is missing", file=file, hints=hint
-    )
+    hint = (say("send_with_depth_images_format", expected=expected),)
+    return CaptureError("CAPTURE_NO_POSES", say("depth_images_but_no_camera", expected=expected), file=file, hints=hint)

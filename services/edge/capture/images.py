@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.capture.files import translate_errors
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MAX_PIXELS = 100_000_000  # the largest phone sensors give 200 MP raw and 50 MP pictures; 100 MP is 300 MB decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -27,7 +28,7 @@ _MOST_SEGMENTS = 10_000  # of a JPEG before its size; phones write about ten, or
 
 def broken_image(file: str, reason: str) -> CaptureError:
     """Return an IMAGE_UNREADABLE error."""
-    return CaptureError("IMAGE_UNREADABLE", reason, file=file, hints=("export the capture again",))
+    return CaptureError("IMAGE_UNREADABLE", reason, file=file, hints=(say("export_capture_again"),))
 
 
 def image_size(path: Path, file: str) -> tuple[int, int]:
@@ -38,9 +39,9 @@ def image_size(path: Path, file: str) -> tuple[int, int]:
     with _mapped(path, file) as data:
         size = header_size(data)
         if size is None:
-            raise broken_image(file, "is not a PNG, JPEG or TIFF image")
+            raise broken_image(file, say("not_png_jpeg_tiff_image"))
         if data[:8] == _PNG and data.find(b"IEND", max(0, len(data) - 64)) < 0:
-            raise broken_image(file, "is cut off: the end of the PNG is missing")
+            raise broken_image(file, say("cut_off_end_png_missing"))
     return check_pixels(size, file)
 
 
@@ -51,7 +52,7 @@ def _mapped(path: Path, file: str) -> Iterator[mmap.mmap]:
         with path.open("rb") as stream:
             data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as error:
-        raise broken_image(file, f"cannot be opened ({error.strerror})") from None
+        raise broken_image(file, say("cannot_be_opened", why=error.strerror)) from None
     except ValueError:
         raise broken_image(file, "is empty") from None
     with data:
@@ -62,10 +63,10 @@ def check_pixels(size: tuple[int, int], file: str, most: int = MAX_PIXELS) -> tu
     """Return the `size`. Raises IMAGE_TOO_LARGE above `most` pixels, and IMAGE_UNREADABLE for a size of 0."""
     width, height = size
     if width * height > most:
-        reason = f"is {width} x {height} pixels; at most {most // 10**6} megapixels are read"
-        raise CaptureError("IMAGE_TOO_LARGE", reason, file=file, hints=("send a smaller picture",))
+        reason = say("x_pixels_most_megapixels_read", width=width, height=height, most=most // 10**6)
+        raise CaptureError("IMAGE_TOO_LARGE", reason, file=file, hints=(say("send_smaller_picture"),))
     if width < 1 or height < 1:
-        raise broken_image(file, f"is {width} x {height} pixels: it has no pixels")
+        raise broken_image(file, say("x_pixels_has_no_pixels", width=width, height=height))
     return size
 
 
@@ -144,7 +145,7 @@ def decode_depth(data: bytes, file: str) -> Floats:
 
     pixels = _decode(data, file, cv2.IMREAD_UNCHANGED)
     if pixels.dtype == np.uint8:
-        raise broken_image(file, "has 8 bits per pixel: it is a preview of the depth; measured depth has 16 or 32 bits")
+        raise broken_image(file, say("depth_has_8_bits"))
     return _one_channel(pixels, file)
 
 
@@ -157,7 +158,7 @@ def has_8_bits(data: bytes, file: str) -> bool:
 
 def _one_channel(pixels: NDArray[Any], file: str) -> Floats:
     if pixels.ndim != 2:
-        raise broken_image(file, f"has {pixels.shape[2]} channels; a depth or confidence image has one")
+        raise broken_image(file, say("has_channels_depth_confidence_image", count=pixels.shape[2]))
     return pixels.astype(np.float32)
 
 
@@ -175,12 +176,12 @@ def _decode(data: bytes, file: str, flags: int) -> NDArray[Any]:
 
     size = header_size(data)
     if size is None:
-        raise broken_image(file, "is not a PNG, JPEG or TIFF image")
+        raise broken_image(file, say("not_png_jpeg_tiff_image"))
     check_pixels(size, file)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise broken_image(file, "cannot be decoded: its image data are damaged")
+        raise broken_image(file, say("cannot_be_decoded_image_data"))
     return np.asarray(pixels)

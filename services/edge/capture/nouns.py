@@ -9,12 +9,13 @@ from typing import Annotated, Literal, Protocol
 from pydantic import ConfigDict, Field
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats, pick
+from capture2vr.sentences.sentence import say
 
 CaptureKind = Literal["points", "rgbd", "photos", "image"]
 ScaleConfidence = Literal["metric", "estimated", "unknown"]
 
 MIN_PHOTOS = 3  # depth from two views needs a third view that confirms it
-WALK_AROUND_ADVICE = "take 15 to 30 photos around the thing, each overlapping the last by two thirds"
+WALK_AROUND_ADVICE = say("take_15_to_30_photos")
 
 
 UpTeller = Literal["person", "app", "gravity", "turntable", "lines", "walk", "plane", "cameras"]

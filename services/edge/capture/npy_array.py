@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from capture2vr.edge.capture.files import translate_errors, truncated, unreadable
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 
 def npy_array(path: Path, file: str) -> NDArray[Any]:
@@ -24,15 +25,13 @@ def npy_array(path: Path, file: str) -> NDArray[Any]:
         shape, fortran, dtype = header(stream)
         start = stream.tell()
     if dtype.hasobject or (dtype.fields is None and dtype.kind not in "fiu"):
-        raise unreadable(
-            file, f"has values of type {dtype}; only integers and floats are read, and nothing is unpickled"
-        )
+        raise unreadable(file, say("has_values_type_only_integers", type=dtype))
     count = 1
     for side in shape:
         count *= int(side)
     if count < 0 or count * dtype.itemsize > path.stat().st_size - start:
-        raise truncated(file, f"is cut off: it is too short for the array of shape {shape} that its header announces")
+        raise truncated(file, say("cut_off_too_short_array", shape=shape))
     if count == 0:
-        raise CaptureError("CAPTURE_EMPTY", "has no numbers", file=file, hints=("export the capture again",))
+        raise CaptureError("CAPTURE_EMPTY", say("has_no_numbers"), file=file, hints=(say("export_capture_again"),))
     with translate_errors(file, "NumPy array"):
         return np.asarray(np.memmap(path, dtype, "r", start, shape, "F" if fortran else "C"))

@@ -15,11 +15,12 @@ from capture2vr.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Captur
 from capture2vr.edge.capture.photo_copy import keep_copy
 from capture2vr.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MAX_PHOTOS = 300  # a walk-around has 20 to 100; each further photo costs seconds and improves almost nothing
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif")
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif")
-_SEND_AGAIN = "send it again as a JPEG or HEIC"
+_SEND_AGAIN = say("send_again_as_jpeg_heic")
 
 _T = TypeVar("_T")
 
@@ -63,7 +64,7 @@ def read(folder: Folder) -> Capture:
 
 def _single_photo(photo: Photo) -> Capture:
     """Make a capture of kind "image" from one photo."""
-    warning = f"One photo shows only one side; the other sides are a guess. For the true shape, {WALK_AROUND_ADVICE}."
+    warning = say("one_photo_shows", advice=WALK_AROUND_ADVICE)
     return Capture("image", "photo", photos=(photo,), verdicts=(PhotoVerdict(photo.name, "ok"),), warnings=(warning,))
 
 
@@ -97,26 +98,26 @@ def evenly_spaced(photos: Sequence[_T]) -> list[_T]:
 
 def left_out_warning(count: int) -> tuple[str, ...]:
     """Return a warning when `evenly_spaced` leaves out some of `count` photos."""
-    return (f"only {MAX_PHOTOS} of {count:,} photos are used, evenly spaced",) if count > MAX_PHOTOS else ()
+    return (say("only_photos_used_evenly_spaced", most=MAX_PHOTOS, count=count),) if count > MAX_PHOTOS else ()
 
 
 def unreadable_verdict(error: CaptureError) -> PhotoVerdict:
     """Return the verdict on a photo whose reading raised `error`."""
-    hint = "send a smaller picture" if error.code == "IMAGE_TOO_LARGE" else _SEND_AGAIN
-    return PhotoVerdict(error.file or "", "unreadable", f"It {error.message}; {hint}.")
+    hint = say("send_smaller_picture") if error.code == "IMAGE_TOO_LARGE" else _SEND_AGAIN
+    return PhotoVerdict(error.file or "", "unreadable", say("it_does_and_hint", what=error.message, hint=hint))
 
 
 def _too_few_readable(error: CaptureError, left: int) -> CaptureError:
     """Return the error for a folder where only `left` photos can be read; `error` is that of the first other one."""
     code = error.code if error.code == "IMAGE_TOO_LARGE" else "CAPTURE_UNREADABLE"
-    reason = f"{error.message}; only {left} of the photos can be read, and at least {MIN_PHOTOS} are needed"
+    reason = say("only_photos_can_be_read", what=error.message, left=left, least=MIN_PHOTOS)
     return CaptureError(code, reason, file=error.file, hints=(_SEND_AGAIN,))
 
 
 def _too_few_photos(photos: Sequence[Photo]) -> CaptureError:
     """Return CAPTURE_LOW_OVERLAP for a folder of fewer than MIN_PHOTOS photos, all readable."""
-    count = f"{len(photos)} photo{'s' if len(photos) > 1 else ''}"
-    reason = f"the capture has only {count}; at least {MIN_PHOTOS} are needed"
+    count = say("count_photos" if len(photos) > 1 else "count_photo", count=len(photos))
+    reason = say("capture_has_only_least_needed", what=count, least=MIN_PHOTOS)
     return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=photos[0].name, hints=(WALK_AROUND_ADVICE,))
 
 

@@ -22,6 +22,7 @@ from capture2vr.edge.capture.files import translate_errors
 from capture2vr.edge.capture.images import broken_image, check_pixels, read_bytes
 from capture2vr.edge.errors import CaptureError
 from capture2vr.order.raw_photos import is_raw_photo
+from capture2vr.sentences.sentence import say
 
 _HEAD_BYTES = 16
 _PILLOW_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
@@ -49,7 +50,7 @@ _Decoder = Literal["opencv", "pillow", "heif"]
 def read_header(path: Path, file: str) -> Header:
     """Read the size and the EXIF tags of a photo file. Raises IMAGE_TOO_LARGE and IMAGE_UNREADABLE."""
     if is_raw_photo(file):
-        raise broken_image(file, "is a raw picture, which is not read")
+        raise broken_image(file, say("raw_picture_not_read"))
     return _heif_header(path, file) if first_bytes(path, file)[4:8] == b"ftyp" else _plain_header(path, file)
 
 
@@ -209,7 +210,9 @@ class PhotoPixels:
             pixels = np.rot90(self._decoded(data, shrink), self.turned)
         width, height = self.size
         if pixels.shape[:2] not in [(height // by, width // by) for by in (1, *_REDUCTIONS)]:
-            what = f"decodes to {pixels.shape[1]} x {pixels.shape[0]} pixels, but its header says {width} x {height}"
+            what = say(
+                "decodes_to_x_pixels_but_header", width=pixels.shape[1], height=pixels.shape[0], w=width, h=height
+            )
             raise broken_image(self.file, what)
         smaller = max(1, round(width / shrink)), max(1, round(height / shrink))
         if pixels.shape[1::-1] != smaller:
@@ -271,7 +274,7 @@ def _decode_opencv(data: bytes, file: str, by: int) -> Bytes:
         flags = getattr(cv2, f"IMREAD_REDUCED_COLOR_{by}") if by > 1 else flags
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels is None:
-        raise broken_image(file, "cannot be decoded: its image data are damaged")
+        raise broken_image(file, say("cannot_be_decoded_image_data"))
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)
 
 
@@ -284,4 +287,4 @@ def _check_jpeg_end(data: bytes, file: str) -> None:
         padding = data[at + 1 : at + 2] == b"\xff"
         at += 1 if padding else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
     if data.find(b"\xff\xd9", at) < 0:
-        raise broken_image(file, "is cut off: the end of the JPEG is missing")
+        raise broken_image(file, say("cut_off_end_jpeg_missing"))

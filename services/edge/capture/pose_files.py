@@ -30,6 +30,7 @@ from capture2vr.edge.capture.frame_records import (
 from capture2vr.edge.capture.images import image_size
 from capture2vr.edge.capture.nouns import Capture, Intrinsics
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 STEPS_PER_METRE = 1000.0
 KINECT = Intrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)  # the depth camera of 7-Scenes, as its authors give it
@@ -37,7 +38,7 @@ _FRAME = re.compile(r"(.*frame-\d+)\.depth\.png", re.IGNORECASE)
 _NUMBERED = re.compile(r"((?:.*/)?)depth/(\d+)\.png", re.IGNORECASE)
 _MATRIX_FILES = ("camera-intrinsics.txt", "camera_intrinsics.txt", "intrinsic_depth.txt")
 _INFO_FILES = ("info.txt", "_info.txt")
-_DEFAULT_CAMERA = "no file has the camera's intrinsics; a Kinect's were taken, so the size may be some percent off"
+_DEFAULT_CAMERA = say("no_file_has_camera_intrinsics")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +64,13 @@ def read(folder: Folder) -> Capture:
     if not posed:
         still = [_record(folder, each, np.eye(4), camera, steps_per_metre) for each in listed]
         return without_poses(rgbd_capture(kind, still, axes="opencv", up=None, file="depth", warnings=warnings))
-    warnings += check_mostly_paired(len(posed), len(listed), len(posed), file=posed[0].pose, what="poses")
+    warnings += check_mostly_paired(len(posed), len(listed), len(posed), file=posed[0].pose, what=say("word_poses"))
     poses = [_read_pose(folder, each.pose) for each in posed]
     tracked = [(each, pose) for each, pose in zip(posed, poses, strict=True) if np.isfinite(pose).all()]
     if not tracked:
         raise no_poses(posed[0].pose, "a pose of finite numbers")
     if len(tracked) < len(posed):
-        warnings += (f"tracking was lost in {len(posed) - len(tracked)} of {len(posed)} frames, which are not used",)
+        warnings += (say("tracking_lost_in_frames", lost=len(posed) - len(tracked), count=len(posed)),)
     records = [_record(folder, each, pose, camera, steps_per_metre) for each, pose in tracked]
     return rgbd_capture(kind, records, axes="opencv", up=None, file="depth", warnings=warnings)
 
@@ -119,13 +120,13 @@ def _camera(folder: Folder, depth: str) -> tuple[Intrinsics, float, tuple[str, .
                 matrix = _matrix(info["m_calibrationDepthIntrinsic"].split(), name)
                 steps = float(numbers(info.get("m_depthShift", STEPS_PER_METRE), 1, file=name, what="m_depthShift")[0])
                 if not 0 < steps < np.inf:
-                    raise unreadable(name, f"has m_depthShift = {steps}, which is not a positive, finite number")
+                    raise unreadable(name, say("has_m_depthshift_not_positive", value=steps))
                 return matrix_pinhole(matrix, size), steps, ()
     if (found := find_calibration(folder, size)) is not None:
         return found, STEPS_PER_METRE, ()
     if size[0] * 3 != size[1] * 4:
-        what = f"is {size[0]} x {size[1]}, and no file has the camera's intrinsics"
-        hint = "add a camera-intrinsics.txt with the 3 x 3 camera matrix"
+        what = say("x_no_file_has_camera", width=size[0], height=size[1])
+        hint = say("add_camera_intrinsics_txt")
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=depth, hints=(hint,))
     return KINECT.scaled_to(*size), STEPS_PER_METRE, (_DEFAULT_CAMERA,)
 

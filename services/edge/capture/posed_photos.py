@@ -13,6 +13,7 @@ from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo, PhotoVerdi
 from capture2vr.edge.capture.photos import evenly_spaced, left_out_warning, pictures, unreadable_verdict
 from capture2vr.edge.capture.poses import Axes, checked_pose
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 _SAME_SHAPE = 0.02  # relative tolerance of the aspect ratio: scaled copies have rounded sides
 
@@ -42,10 +43,8 @@ def with_camera(photo: Photo, given: GivenCamera) -> Photo:
     width, height = photo.size
     camera = given.intrinsics
     if abs(camera.width * height - width * camera.height) > _SAME_SHAPE * camera.width * height:
-        what = (
-            f"is {width} x {height}, but its intrinsics are for {camera.width} x {camera.height}: aspect ratios differ"
-        )
-        hint = ("send the photos from which the poses were computed, not cropped or rotated",)
+        what = say("x_but_intrinsics_x_aspect", width=width, height=height, w=camera.width, h=camera.height)
+        hint = (say("send_photos_from_poses_computed"),)
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=photo.name, hints=hint)
     return replace(
         photo,
@@ -74,7 +73,7 @@ def unlisted_warning(folder: Folder, listed: Collection[str], file: str) -> tupl
     left = [name for name in pictures(folder) if name not in listed and posixpath.dirname(name) in places]
     if not left:
         return ()
-    return (f"{len(left)} photos were not used, because {file} does not tell their cameras: {first_names(left)}",)
+    return (say("photos_not_used_because_does", count=len(left), file=file, names=first_names(left)),)
 
 
 def posed_capture(
@@ -112,5 +111,5 @@ def _valid_photos(
     return (
         tuple(photos),
         verdicts,
-        [f"photo skipped: {error}" for error in errors if not error.code.startswith("IMAGE")],
+        [say("photo_skipped", why=error) for error in errors if not error.code.startswith("IMAGE")],
     )

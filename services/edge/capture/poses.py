@@ -12,6 +12,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 Axes = Literal["opencv", "opengl"]
 
@@ -21,7 +22,7 @@ _EXACT = 1e-13  # float64 rounding: a rotation this close, as from a quaternion,
 MAX_DISTANCE = 1e6  # metres from the origin; the same limit as for points
 
 
-def bad_pose(file: str, reason: str, hint: str = "record again: tracking was lost") -> CaptureError:
+def bad_pose(file: str, reason: str, hint: str = say("record_again_tracking_lost")) -> CaptureError:
     """Return a CAPTURE_BAD_POSE error."""
     return CaptureError("CAPTURE_BAD_POSE", reason, file=file, hints=(hint,))
 
@@ -55,10 +56,10 @@ def checked_pose(matrix: Floats, *, axes: Axes, file: str) -> Floats:
     pose = np.eye(4)
     pose[: len(matrix)] = matrix
     if not np.isfinite(pose).all():
-        raise bad_pose(file, "has a camera pose that is not finite, or whose quaternion is far from unit length")
+        raise bad_pose(file, say("has_camera_pose_not_finite"))
     if np.abs(pose[:3]).max() > MAX_DISTANCE or np.abs(pose[3] - [0, 0, 0, 1]).max() > ORTHONORMAL_TOLERANCE:
-        what = f"is more than {MAX_DISTANCE / 1000:,.0f} km away, or whose last row is not 0 0 0 1"
-        raise bad_pose(file, f"has a camera pose that {what}")
+        what = say("more_than_km_away_whose", distance=MAX_DISTANCE / 1000)
+        raise bad_pose(file, say("has_camera_pose", what=what))
     pose[:3, :3] = _nearest_rotation(pose[:3, :3], file)
     pose[3] = [0, 0, 0, 1]
     return pose @ OPENGL_TO_OPENCV if axes == "opengl" else pose
@@ -68,10 +69,10 @@ def _nearest_rotation(rotation: Floats, file: str) -> Floats:
     """Return the rotation nearest to a nearly orthonormal matrix (3,3), by SVD. Raises CAPTURE_BAD_POSE."""
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if off > 2 * ORTHONORMAL_TOLERANCE:  # an error e in the entries shows as 2e in the product
-        raise bad_pose(file, f"has a camera pose whose rotation matrix is not orthonormal (error {off:.3g})")
+        raise bad_pose(file, say("has_camera_pose_whose_rotation", off=off))
     if np.linalg.det(rotation) < 0:
-        hint = "export with right-handed axes: flip one axis of every pose"
-        raise bad_pose(file, "has a camera pose that is mirrored (its axes are left-handed)", hint)
+        hint = say("export_with_right_handed_axes")
+        raise bad_pose(file, say("has_camera_pose_mirrored_axes"), hint)
     if off < _EXACT:
         return rotation
     u, _, vt = np.linalg.svd(rotation)

@@ -23,6 +23,7 @@ from capture2vr.edge.clouds.sample_surface import SampledSurface, sample_surface
 from capture2vr.edge.clouds.surface_colours import vertex_colours
 from capture2vr.edge.clouds.tables import MAX_POINTS, looks_numeric, npy_parts, read_npy, read_table, too_many_points
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MIN_DISTINCT = 100  # distinct points; fewer do not describe a surface
 MIN_SECOND_EXTENT = 1e-4  # of the first principal extent; below it all points lie on a line
@@ -152,8 +153,8 @@ def _capture(kind: str, name: str, cloud: Cloud, warnings: tuple[str, ...], whol
 
 
 def _too_many_bytes(name: str, kind: str, limit: int) -> CaptureError:
-    what = f"is larger than {limit // 2**20:,} MiB, the most that is read of a {kind.upper()} file"
-    hint = "downsample the point cloud, or simplify the mesh"
+    what = say("larger_than_mib_most_read", size=limit // 2**20, kind=kind.upper())
+    hint = say("downsample_point_cloud_simplify_mesh")
     return CaptureError("CAPTURE_TOO_LARGE", what, file=name, hints=(hint,))
 
 
@@ -189,7 +190,7 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
         surfaces, absent = read_mesh(folder, name, kind)
         if not surfaces:
             raise CaptureError(
-                "CAPTURE_EMPTY", "is a mesh without triangles", file=name, hints=("export the mesh again",)
+                "CAPTURE_EMPTY", say("mesh_without_triangles"), file=name, hints=(say("export_mesh_again"),)
             )
         sampled, dropped = _sample_mesh(surfaces, name)
         return sampled, (*absent, *dropped)
@@ -204,7 +205,7 @@ def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tupl
     surfaces = [replace(surface, vertices=vertices) for surface, vertices in zip(surfaces, near, strict=True)]
     cloud, dropped = _drop_invalid(Cloud(np.concatenate(near)), name)
     if (cloud.xyz == cloud.xyz[0]).all():
-        raise CaptureError("CAPTURE_DEGENERATE", "has all its vertices at the same position", file=name)
+        raise CaptureError("CAPTURE_DEGENERATE", say("has_all_vertices_same_position"), file=name)
     keep = [replace(surface, vertices=np.where(valid_mask(surface.vertices)[:, None], surface.vertices, np.nan))
             for surface in surfaces]  # fmt: skip
     return sample_surfaces(keep, name), (*moved, *dropped)
@@ -238,19 +239,19 @@ def _drop_invalid(cloud: Cloud, name: str) -> tuple[Cloud, tuple[str, ...]]:
 
 def _check_shape(xyz: Floats, name: str) -> None:
     """Raise CAPTURE_TOO_FEW_POINTS or CAPTURE_DEGENERATE for points that cannot describe a surface."""
-    hint = ("walk around the thing and scan it again",)
+    hint = (say("walk_around_thing_scan_again"),)
     if len(xyz) < MIN_DISTINCT:
-        what = f"has only {len(xyz)} points; at least {MIN_DISTINCT} are needed"
+        what = say("has_only_points_least_needed", count=len(xyz), least=MIN_DISTINCT)
         raise CaptureError("CAPTURE_TOO_FEW_POINTS", what, file=name, hints=hint)
     if (xyz == xyz[0]).all():
-        what = f"has all of its {len(xyz):,} points at the same position"
+        what = say("has_all_points_same_position", count=len(xyz))
         raise CaptureError("CAPTURE_DEGENERATE", what, file=name, hints=hint)
     if (distinct := _count_distinct(xyz)) < MIN_DISTINCT:
-        what = f"has only {distinct} distinct points; at least {MIN_DISTINCT} are needed"
+        what = say("has_only_distinct_points_least", count=distinct, least=MIN_DISTINCT)
         raise CaptureError("CAPTURE_TOO_FEW_POINTS", what, file=name, hints=hint)
     first, second, _ = _extents(xyz)
     if second < MIN_SECOND_EXTENT * first:
-        raise CaptureError("CAPTURE_DEGENERATE", "has all of its points on one straight line", file=name, hints=hint)
+        raise CaptureError("CAPTURE_DEGENERATE", say("has_all_points"), file=name, hints=hint)
 
 
 def _count_distinct(xyz: Floats) -> int:

@@ -14,6 +14,7 @@ from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_war
 from capture2vr.edge.clouds.colours import rgb8, scale_of
 from capture2vr.edge.clouds.raw_parts import LARGE, RawPart, RawParts
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MAX_COORDINATE = 1e6
 """Units from the origin; beyond it float32 steps are 6 cm, and 1e30 is a broken file."""
@@ -39,10 +40,10 @@ def valid_mask(xyz: Floats) -> Bools:
 
 def dropped_warning(bad: int, count: int, name: str) -> str:
     """Return the warning that so many points were dropped. Raises CAPTURE_NOT_FINITE above MAX_BAD_SHARE."""
-    what = f"{bad:,} of {count:,} points have coordinates that are not finite or beyond {MAX_COORDINATE:,.0f} units"
+    what = say("points_have_coordinates_not_finite", bad=bad, count=count, most=MAX_COORDINATE)
     if bad > MAX_BAD_SHARE * count:
-        raise CaptureError("CAPTURE_NOT_FINITE", what, file=name, hints=("export the capture again, in metres",))
-    return f"{name}: {what}; these points were dropped"
+        raise CaptureError("CAPTURE_NOT_FINITE", what, file=name, hints=(say("export_capture_again_in_metres"),))
+    return say("these_points_dropped", file=name, what=what)
 
 
 def read_some(parts: RawParts, name: str, tick: Tick) -> tuple[Cloud, CloudParts, tuple[str, ...]]:

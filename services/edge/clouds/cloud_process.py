@@ -21,6 +21,7 @@ from capture2vr.edge.clouds.raw_parts import PART, RawPart, RawParts
 from capture2vr.edge.clouds.tables import MAX_POINTS
 from capture2vr.edge.errors import CaptureError
 from capture2vr.process.child_start import python_command
+from capture2vr.sentences.sentence import say
 
 POSITIONS, COLOURS, GREYED = "xyz.npy", "rgb.npy", "greyed.txt"
 """Files that the child writes: (N,3) float64; (N,3) integers if the cloud has colours; how many it made grey."""
@@ -48,9 +49,9 @@ def _greyed_warning(folder: Path, count: int, file: str) -> tuple[str, ...]:
     """The warning that some of `count` points were made grey, if any were."""
     if not (folder / GREYED).exists():
         return ()
-    what = f"{int((folder / GREYED).read_text()):,} of {count:,} points are of scans without colours that can be read"
-    advice = "export all scans with colours, or leave out those without"
-    return (f"{file}: {what}; these points were made grey: {advice}",)
+    what = say("points_scans_without_colours", bad=int((folder / GREYED).read_text()), count=count)
+    advice = say("export_all_scans_with_colours")
+    return (say("these_points_made_grey", file=file, what=what, advice=advice),)
 
 
 def _decode(kind: str, path: Path, file: str, folder: Path, tick: Tick, most_seconds: float) -> None:
@@ -61,9 +62,9 @@ def _decode(kind: str, path: Path, file: str, folder: Path, tick: Tick, most_sec
         run_child(command, f"the {kind} decoder", folder / "log", tick, most_seconds=most_seconds)
     except ChildError as error:
         if error.too_slow:
-            what = f"takes too long to decode: more than {most_seconds:.0f} s"
+            what = say("takes_too_long_to_decode", seconds=most_seconds)
             raise CaptureError("CAPTURE_TOO_LARGE", what, file=file) from None
-        raise unreadable(file, f"is not a readable {kind} (its points are damaged)") from None
+        raise unreadable(file, say("not_readable_points_damaged", kind=kind)) from None
 
 
 def decode_to_disk(kind: Literal["LAZ", "E57"], path: Path, file: str, count: int, tick: Tick) -> RawParts:
@@ -114,4 +115,4 @@ def georeferenced_origin(low: Floats, high: Floats) -> Floats | None:
 def moved_warning(origin: Floats, file: str) -> str:
     """Return the warning that `origin` was subtracted."""
     moved = ", ".join(f"{value:.0f}" for value in origin)
-    return f"{file}: coordinates are georeferenced; ({moved}) was subtracted from every point"
+    return say("coordinates_georeferenced_subtracted_from_every", file=file, moved=moved)

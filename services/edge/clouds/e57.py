@@ -23,6 +23,7 @@ from capture2vr.edge.clouds.cloud_process import decode_in_child, decode_to_disk
 from capture2vr.edge.clouds.raw_parts import LARGE, RawParts
 from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS, MAX_POINTS, too_many_points
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MAGIC = b"ASTM-E57"
 _HEADER = struct.Struct("<8s2I4Q")  # magic, version, length of the file, offset and length of the XML, page size
@@ -38,12 +39,12 @@ def read_e57(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[
     Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED, CAPTURE_TOO_LARGE and CAPTURE_EMPTY.
     """
     if find_spec("pye57") is None:
-        raise unreadable(file, "is an E57, which this machine cannot read", "export the scan as .las, .laz or .ply")
+        raise unreadable(file, say("e57_machine_cannot_read"), say("export_scan_as_las_laz"))
     count = sum(_record_counts(path, file))
     if count > MAX_POINTS:
         raise too_many_points(count, file)
     if not count:
-        raise CaptureError("CAPTURE_EMPTY", "has no points", file=file, hints=("export the capture again",))
+        raise CaptureError("CAPTURE_EMPTY", say("has_no_points"), file=file, hints=(say("export_capture_again"),))
     xyz, colours, warnings = decode_in_child("E57", path, file, tick)
     cloud, moved = near_origin(xyz, colours, file)
     return cloud, (*warnings, *moved)
@@ -65,12 +66,12 @@ def _record_counts(path: Path, file: str) -> list[int]:
     with path.open("rb") as stream:
         head = stream.read(_HEADER.size)
         if len(head) < _HEADER.size:
-            raise truncated(file, "is cut off inside the E57 header")
+            raise truncated(file, say("cut_off_inside_e57_header"))
         _, _, _, length, offset, xml_length, page = _HEADER.unpack(head)
         if length > size:
-            raise truncated(file, f"is cut off: its header announces {length:,} bytes, but it has only {size:,}")
+            raise truncated(file, say("cut_off_header_announces_bytes", length=length, size=size))
         if page != _PAGE or offset >= length or xml_length > min(length, _MAX_XML):
-            raise unreadable(file, "has an E57 header that contradicts the file")
+            raise unreadable(file, say("has_e57_header_contradicts_file"))
         first = offset - offset % _PAGE
         stream.seek(first)
         pages = stream.read((xml_length // _PAYLOAD + 2) * _PAGE)

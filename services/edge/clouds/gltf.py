@@ -20,6 +20,7 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder, parse_json, translate_errors, truncated, unreadable
 from capture2vr.edge.clouds.tables import MAX_POINTS, too_many_points
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 LIGHT = "_LIGHT"
 """Vertex attribute of a rewritten glTF: its vertex colours (V,3) as linear light in [0,1]."""
@@ -34,12 +35,12 @@ _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRANSFORM, _GLOSS = "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"
 _READ_EXTENSIONS = (_TRANSFORM, "KHR_mesh_quantization", "EXT_texture_webp", "KHR_lights_punctual", "KHR_xmp_json_ld")
 _SHADING = "KHR_materials_"  # begins the names of extensions that leave shape and base colour as they are
-_UNCOMPRESSED = "export the glTF without compression"
+_UNCOMPRESSED = say("export_gltf_without_compression")
 _ADVICE = {
     "KHR_draco_mesh_compression": _UNCOMPRESSED,
     "EXT_meshopt_compression": _UNCOMPRESSED,
     "KHR_meshopt_compression": _UNCOMPRESSED,
-    "KHR_texture_basisu": "export the textures as JPEG or PNG",
+    "KHR_texture_basisu": say("export_textures_as_jpeg_png"),
 }
 
 
@@ -71,17 +72,17 @@ def plain_gltf(
 def _glb_parts(data: bytes, file: str) -> tuple[dict[str, Any], bytes]:
     """The JSON chunk of a GLB, parsed, and its binary chunk, which may be missing."""
     if len(data) < _GLB_HEADER + 8:
-        raise truncated(file, "is cut off inside the GLB header")
+        raise truncated(file, say("cut_off_inside_glb_header"))
     total, length = struct.unpack_from("<I", data, 8)[0], struct.unpack_from("<I", data, _GLB_HEADER)[0]
     if max(total, length) > len(data):
-        what = f"{max(total, length):,} bytes, but it has only {len(data):,}"
-        raise truncated(file, f"is cut off: its header announces {what}")
+        what = say("bytes_but", count=max(total, length), size=len(data))
+        raise truncated(file, say("cut_off_header_announces", what=what))
     at = _GLB_HEADER + 8 + length
     tree = parse_json(data[_GLB_HEADER + 8 : at].decode("utf-8", "replace"), file)
     while at + 8 <= len(data):
         size, name = struct.unpack_from("<I4s", data, at)
         if at + 8 + size > len(data):
-            raise truncated(file, f"is cut off inside its chunk of {size:,} bytes")
+            raise truncated(file, say("cut_off_inside_chunk_bytes", size=size))
         if name == _BIN:
             return tree, data[at + 8 : at + 8 + size]
         at += 8 + size
@@ -96,11 +97,11 @@ def _check(tree: dict[str, Any], folder: Folder, file: str) -> None:
     with translate_errors(file, "glTF"):
         for name in tree.get("extensionsRequired", []):
             if name not in _READ_EXTENSIONS and not str(name).startswith(_SHADING):
-                advice = _ADVICE.get(name, "export the glTF without this extension")
-                raise unreadable(file, f"needs {str(name)[:120]}, which is not supported", advice)
+                advice = _ADVICE.get(name, say("export_gltf_without_extension"))
+                raise unreadable(file, say("needs_not_supported", name=str(name)[:120]), advice)
         if len(tree.get("nodes", [])) > MAX_NODES:
-            what = f"has more than {MAX_NODES:,} nodes"
-            raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("join the meshes of the scene into one",))
+            what = say("has_more_than_nodes", most=MAX_NODES)
+            raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(say("join_meshes_scene_into"),))
         for accessor in tree.get("accessors", []):
             if int(accessor["count"]) > 3 * MAX_POINTS:
                 raise too_many_points(int(accessor["count"]), file)
@@ -110,8 +111,8 @@ def _check(tree: dict[str, Any], folder: Folder, file: str) -> None:
         for buffer in tree.get("buffers", []):
             uri = buffer.get("uri", "data:")
             if not uri.startswith("data:") and find_uri(folder, file, uri) is None:
-                hint = "send the .bin file together with the .gltf"
-                raise unreadable(file, f"refers to {uri[:120]!r}, which is missing", hint)
+                hint = say("send_bin_file_together")
+                raise unreadable(file, say("refers_to_missing", name=repr(uri[:120])), hint)
 
 
 def find_uri(folder: Folder, file: str, uri: str) -> str | None:
@@ -194,7 +195,7 @@ class _Buffers:
         view = self._tree["bufferViews"][place["bufferView"]]
         start, step = view.get("byteOffset", 0), view.get("byteStride", width * kind.itemsize)
         if step <= 0:
-            raise ValueError("a byteStride is not positive")
+            raise ValueError(say("bytestride_not_positive"))
         data = memoryview(self.contents[self._tree["buffers"][view["buffer"]]["uri"]])
         data = data[start : start + view["byteLength"]]
         return np.ndarray((count, width), kind, data, place.get("byteOffset", 0), (step, kind.itemsize))
@@ -236,7 +237,7 @@ def _unit(rows: NDArray[Any]) -> Floats:
 def _light(rows: NDArray[Any]) -> Floats:
     """Linear light (N,3) in [0,1] of COLOR_0 with or without alpha; its integers are always normalised."""
     if rows.shape[1] < 3:
-        raise ValueError("vertex colours have fewer than three numbers")
+        raise ValueError(say("vertex_colours_have_fewer_than"))
     return np.clip(np.nan_to_num(_unit(rows[:, :3])), 0, 1)
 
 

@@ -17,6 +17,7 @@ from capture2vr.edge.clouds.cloud_process import decode_in_child, decode_to_disk
 from capture2vr.edge.clouds.raw_parts import LARGE, RawPart, RawParts
 from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS, MAX_POINTS, too_many_points
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 _CHUNK_BYTES = 64 * 2**20  # of records decoded at a time: a truncated file fails before all points are allocated
 _HEADER_BYTES = 227  # of LAS 1.2
@@ -69,26 +70,26 @@ def _check_header(path: Path, file: str, most: int = MAX_POINTS) -> bool:
     with path.open("rb") as stream:
         head = stream.read(375).ljust(375, b"\0")
     if size < _HEADER_BYTES:
-        raise truncated(file, "is cut off inside the LAS header")
+        raise truncated(file, say("cut_off_inside_las_header"))
     offset, vlrs, form, record = struct.unpack_from("<IIBH", head, 96)
     count = _point_count(head)
     if head[24:26] >= b"\x01\x04":
         vlrs += struct.unpack_from("<I", head, 243)[0]
     compressed = bool(form & _COMPRESSED)
     if vlrs * _VLR_HEADER_BYTES > size or offset > size:
-        what = f"{vlrs:,} variable length records, then points from byte {offset:,} on, but it has only {size:,} bytes"
-        raise truncated(file, f"is cut off: its header announces {what}")
+        what = say("variable_length_records_then_points", vlrs=vlrs, offset=offset, size=size)
+        raise truncated(file, say("cut_off_header_announces", what=what))
     if not compressed and offset + count * record > size:
-        what = f"{count:,} points of {record} bytes, but only {size - offset:,} bytes of points are there"
-        raise truncated(file, f"is cut off: its header announces {what}")
+        what = say("points_bytes_but_only_bytes", count=count, record=record, size=size - offset)
+        raise truncated(file, say("cut_off_header_announces", what=what))
     if compressed:
         _check_chunk_table(path, offset, size, file)
     if count > most:
         raise too_many_points(count, file, most)
     if not 20 <= record <= _MAX_RECORD_BYTES:
-        raise unreadable(file, f"has point records of {record} bytes; 20 to {_MAX_RECORD_BYTES} are possible")
+        raise unreadable(file, say("has_point_records_bytes_20", record=record, most=_MAX_RECORD_BYTES))
     if count == 0:
-        raise CaptureError("CAPTURE_EMPTY", "has no points", file=file, hints=("export the capture again",))
+        raise CaptureError("CAPTURE_EMPTY", say("has_no_points"), file=file, hints=(say("export_capture_again"),))
     return compressed
 
 
@@ -101,9 +102,7 @@ def _check_chunk_table(path: Path, offset: int, size: int, file: str) -> None:
         stream.seek(offset)
         (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
     if table != -1 and not offset < table <= size - 8:
-        raise truncated(
-            file, f"is cut off: its chunk table should be at byte {table:,}, but it has only {size:,} bytes"
-        )
+        raise truncated(file, say("cut_off_chunk_table_should", place=table, size=size))
 
 
 def decode_points(path: Path) -> tuple[Floats, NDArray[Any] | None]:
@@ -125,7 +124,7 @@ def iter_points(path: Path) -> Iterator[tuple[Floats, NDArray[Any] | None]]:
             found += len(chunk)
             yield _columns(chunk)
     if found != announced:
-        raise ValueError(f"its header announces {announced:,} points, but {found:,} are there")
+        raise ValueError(say("header_announces_points", announced=announced, found=found))
 
 
 def _columns(chunk: Any) -> tuple[Floats, NDArray[Any] | None]:

@@ -16,6 +16,7 @@ from capture2vr.edge.clouds.sample_surface import MAX_FACES, ColourAt, SampledSu
 from capture2vr.edge.clouds.surface_colours import absent_textures, nearest_texels, vertex_colours
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.srgb import to_linear, to_srgb
+from capture2vr.sentences.sentence import say
 
 
 class _SiblingFiles(Mapping[str, bytes]):
@@ -90,8 +91,8 @@ def _check_off(data: bytes, file: str) -> None:
         counts = rows[0][1:] or rows[1]
         vertices, faces = int(counts[0]), int(counts[1])
     if (vertices * 6 + faces * 8) > len(data) + 8:
-        what = f"{vertices:,} vertices and {faces:,} faces, which do not fit into its {len(data):,} bytes"
-        raise truncated(file, f"is cut off: its header announces {what}")
+        what = say("vertices_faces_do_not_fit", vertices=vertices, faces=faces, size=len(data))
+        raise truncated(file, say("cut_off_header_announces", what=what))
 
 
 _Pictures = dict[int, Bytes]
@@ -109,7 +110,7 @@ def _surface(scene: Any, node: str, pictures: _Pictures) -> SampledSurface | Non
     vertices = np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
     faces = np.asarray(geometry.faces, np.int64)
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError("a face has indices of vertices that do not exist")
+        raise ValueError(say("face_has_indices_vertices"))
     return SampledSurface(vertices, faces, _colours(geometry, faces, pictures))
 
 

@@ -26,6 +26,7 @@ from capture2vr.edge.clouds.mtl import Material, read_mtl
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
 from capture2vr.edge.clouds.surface_colours import absent_textures, nearest_texels, vertex_colours
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MAX_MATERIALS = 500  # scanners write tens; a large texture takes a second to decode
 _MAX_LINE = 2**20  # bytes: a polygon of a hundred thousand corners
@@ -53,7 +54,7 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
         vertices, coordinates = reader.vertices.array(), reader.coordinates.array()
         faces, uv_faces, material = reader.triangles(len(vertices), len(coordinates))
     if len(vertices) == 0:
-        raise unreadable(file, "has no vertices")
+        raise unreadable(file, say("has_no_vertices"))
     rgb = rgb8(vertices[:, 3:6]) if vertices.shape[1] >= 6 else None
     cloud = Cloud(vertices[:, :3], rgb)
     if len(faces) == 0:
@@ -95,7 +96,7 @@ class _Rows:
             return
         width = min(6, min(map(len, self._words)))
         if width < self._least:
-            raise ValueError(f"a vertex has {width} numbers, not {self._least}")
+            raise ValueError(say("vertex_has_numbers", count=width, least=self._least))
         words = list(chain.from_iterable(row[:width] for row in self._words))
         self._arrays.append(_numbers(words, np.float64).reshape(-1, width))
         self._words.clear()
@@ -126,7 +127,7 @@ class _Reader:
             if number % _TICK == 0:
                 tick(lines.tell() / len(data))
             if len(line) > _MAX_LINE:
-                raise unreadable(self._file, f"has a line of {len(line):,} bytes; at most {_MAX_LINE:,} are read")
+                raise unreadable(self._file, say("has_line_bytes_most_read", length=len(line), most=_MAX_LINE))
             key, *words = line.split() or (b"",)
             if b"#" in line:
                 words = list(takewhile(lambda word: not word.startswith(b"#"), words))
@@ -149,7 +150,7 @@ class _Reader:
         empty = np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
         faces, uv_faces, material = (np.concatenate(parts) for parts in zip(empty, *self._parts, strict=True))
         if len(faces) and (faces.min() < 0 or faces.max() >= vertices):
-            raise ValueError("a face has indices of vertices that do not exist")
+            raise ValueError(say("face_has_indices_vertices"))
         return faces, np.where(uv_faces < coordinates, uv_faces, -1), material
 
     def _use(self, name: str) -> None:
@@ -157,8 +158,8 @@ class _Reader:
         if self._material == len(self.materials):
             self.materials.append(name)
         if len(self.materials) - 1 > MAX_MATERIALS:
-            what = f"has more than {MAX_MATERIALS:,} materials, the most that are read"
-            hints = ("export the mesh with one texture",)
+            what = say("has_more_than_materials", most=MAX_MATERIALS)
+            hints = (say("export_mesh_with_one_texture"),)
             raise CaptureError("CAPTURE_TOO_LARGE", what, file=self._file, hints=hints)
 
     def _add_face(self, corners: list[bytes]) -> None:
@@ -221,7 +222,7 @@ def _numbers(words: list[bytes], kind: type[np.float64 | np.int64]) -> NDArray[A
         except DeprecationWarning:
             numbers = np.zeros(0, kind)
     if len(numbers) != len(words):
-        raise ValueError("a line has something else where a number is expected")
+        raise ValueError(say("line_has_something_else_where"))
     return numbers
 
 

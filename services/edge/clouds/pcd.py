@@ -14,6 +14,7 @@ from capture2vr.edge.capture.files import translate_errors, truncated, unreadabl
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.clouds.colours import unpack_rgb
 from capture2vr.edge.clouds.tables import MAX_POINTS, named_columns, too_many_points
+from capture2vr.sentences.sentence import say
 
 _HEADER_BYTES = 2**16
 _LZF_MAX_RATIO = 100  # decompressed over compressed size: three bytes of LZF make at most 264
@@ -62,7 +63,7 @@ def _header(head: bytes, file: str) -> _Header:
     while "DATA" not in entries:
         stop = head.find(b"\n", at)
         if stop < 0:
-            raise truncated(file, "is cut off inside the PCD header")
+            raise truncated(file, say("cut_off_inside_pcd_header"))
         words = head[at:stop].decode("latin-1").split()
         if words and not words[0].startswith("#"):
             entries[words[0].upper()] = words[1:]
@@ -76,16 +77,14 @@ def _header(head: bytes, file: str) -> _Header:
     storage = entries["DATA"][0].lower()
     sound = 0 < len(fields) == len(kinds) == len(counts) <= 256 and all(0 < count <= 4096 for count in counts)
     if not sound or points < 0 or storage not in _READERS:
-        raise unreadable(
-            file, "has an invalid PCD header: FIELDS, SIZE, TYPE, COUNT, POINTS or DATA do not fit together"
-        )
+        raise unreadable(file, say("has_invalid_pcd_header_fields"))
     return _Header(tuple(fields), kinds, counts, points, height > 1, storage, at)
 
 
 def _read_ascii(body: bytes, header: _Header, file: str) -> dict[str, NDArray[Any]]:
     if header.points * 2 * sum(header.counts) > len(body) + 1:
-        what = f"{header.points:,} points, but only {len(body):,} bytes of text follow"
-        raise truncated(file, f"is cut off: its header announces {what}")
+        what = say("points_but_only_bytes_text", points=header.points, bytes=len(body))
+        raise truncated(file, say("cut_off_header_announces", what=what))
     lines = [line for line in body.decode("latin-1").splitlines() if line.strip()][: header.points]
     if len(lines) < header.points:
         raise truncated(file, _announced(header, len(lines)))
@@ -111,10 +110,10 @@ def _read_compressed(body: bytes, header: _Header, file: str) -> dict[str, NDArr
     dtype = header.record()
     packed, size = struct.unpack_from("<II", body) if len(body) >= 8 else (len(body), 0)
     if packed > len(body) - 8:
-        what = f"{packed:,} bytes of compressed points are announced, but only {max(0, len(body) - 8):,} are there"
-        raise truncated(file, f"is cut off: {what}")
+        what = say("bytes_compressed_points_announced", packed=packed, found=max(0, len(body) - 8))
+        raise truncated(file, say("cut_off", what=what))
     if size != header.points * dtype.itemsize or size > _LZF_MAX_RATIO * packed:
-        raise unreadable(file, "has compressed points whose size does not fit the number of points in its header")
+        raise unreadable(file, say("has_compressed_points_whose_size"))
     plain = lzf_decompress(body[8 : 8 + packed], size)
     columns: dict[str, NDArray[Any]] = {}
     at = 0
@@ -126,7 +125,7 @@ def _read_compressed(body: bytes, header: _Header, file: str) -> dict[str, NDArr
 
 
 def _announced(header: _Header, count: int) -> str:
-    return f"is cut off: its header announces {header.points:,} points, but only {count:,} are there"
+    return say("cut_off_header_announces_points", points=header.points, count=count)
 
 
 _READERS = {"ascii": _read_ascii, "binary": _read_binary, "binary_compressed": _read_compressed}
@@ -153,10 +152,10 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
         start = len(out) - high - data[at] - 1
         at += 1
         if start < 0:
-            raise ValueError("an LZF back-reference points before the start")
+            raise ValueError(say("lzf_back_reference_points_before"))
         _copy(out, start, length)
     if len(out) != size:
-        raise ValueError(f"LZF data decompress to {len(out)} bytes instead of {size}")
+        raise ValueError(say("lzf_data_decompress_to_bytes", found=len(out), size=size))
     return bytes(out)
 
 

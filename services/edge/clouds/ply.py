@@ -22,6 +22,7 @@ from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, too_many_faces
 from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS, MAX_POINTS, named_columns, raw_columns, too_many_points
+from capture2vr.sentences.sentence import say
 
 _HEADER_BYTES = 2**20  # limit of a header with its comments; real ones have a few hundred bytes
 _TYPES = {
@@ -126,15 +127,15 @@ def _splat_centres(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def _splat_warning(file: str) -> str:
-    what = "holds Gaussian splats; the centres of those that can be seen are read as points, which lie near the surface"
-    return f"{file}: {what}, not on it: send the photos that it was made of, or a point cloud, where there is one"
+    what = say("holds_gaussian_splats_centres_those")
+    return say("not_on_send_photos_made", file=file, what=what)
 
 
 def _texture_warning(name: bytes, cloud: Cloud, file: str) -> str:
     """Return the warning that the texture of this name is not read."""
-    instead = "the mesh has no colours" if cloud.rgb is None else "the colours are those of its vertices"
+    instead = say("mesh_has_no_colours") if cloud.rgb is None else say("colours_those_vertices")
     texture = name.decode("latin-1").strip()[:120]
-    return f"{file}: its texture {texture!r} is not read, and {instead}: export the mesh as GLB or OBJ with its texture"
+    return say("texture_not_read_export_mesh", file=file, texture=repr(texture), instead=instead)
 
 
 def _header(head: bytes, file: str) -> tuple[list[_PlyElement], str, int]:
@@ -142,7 +143,7 @@ def _header(head: bytes, file: str) -> tuple[list[_PlyElement], str, int]:
     end = head.find(b"end_header")
     stop = head.find(b"\n", end) if end >= 0 else -1
     if stop < 0:
-        raise truncated(file, "is cut off inside the PLY header")
+        raise truncated(file, say("cut_off_inside_ply_header"))
     order: str | None = None
     elements: list[_PlyElement] = []
     for line in head[:end].decode("latin-1").splitlines()[1:]:
@@ -155,7 +156,7 @@ def _header(head: bytes, file: str) -> tuple[list[_PlyElement], str, int]:
             last = elements[-1]
             elements[-1] = _PlyElement(last.name, last.count, (*last.properties, _property(words[1:])))
     if order is None or any(element.count < 0 for element in elements):
-        raise unreadable(file, "has a PLY header without a known format, or with a negative count")
+        raise unreadable(file, say("has_ply_header_without_known"))
     return elements, order, stop + 1
 
 
@@ -169,8 +170,8 @@ def _check_counts(element: _PlyElement, left: int, order: str, file: str, most: 
     """Raise CAPTURE_TRUNCATED when an element needs more bytes than are `left`; CAPTURE_TOO_LARGE above `most`."""
     need = element.count * element.least_bytes(order)
     if need > left + 1:  # the last ASCII line may lack its newline
-        what = f"{element.count:,} {element.name!r} records, at least {need:,} bytes, but only {left:,} bytes are left"
-        raise truncated(file, f"is cut off: its header announces {what}")
+        what = say("records_least_bytes", count=element.count, name=repr(element.name), need=need, left=left)
+        raise truncated(file, say("cut_off_header_announces", what=what))
     if element.count > most:
         raise too_many_points(element.count, file, most)
 
@@ -193,7 +194,7 @@ def _read_binary(data: bytes, at: int, elements: list[_PlyElement], order: str, 
             polygons, at = _binary_lists(data, at, element, order, file)
             faces = _triangle_fans(polygons, cloud, file) if element.name == "face" else faces
     if cloud is None:
-        raise unreadable(file, "is a PLY file without vertices")
+        raise unreadable(file, say("ply_file_without_vertices"))
     return cloud, faces
 
 
@@ -247,11 +248,11 @@ def _one_record(
         if item.count_kind:
             count_kind = np.dtype(order + item.count_kind)
             if at + count_kind.itemsize > len(data):
-                raise truncated(file, f"is cut off inside its {element.name!r} records")
+                raise truncated(file, say("cut_off_inside_records", name=repr(element.name)))
             count = int(np.frombuffer(data, count_kind, 1, at)[0])
             at += count_kind.itemsize
         if count < 0 or at + count * kind.itemsize > len(data):
-            raise truncated(file, f"is cut off inside its {element.name!r} records")
+            raise truncated(file, say("cut_off_inside_records", name=repr(element.name)))
         if item.count_kind:
             lists[item.name] = np.frombuffer(data, kind, count, at)
         at += count * kind.itemsize
@@ -276,7 +277,7 @@ def _triangle_fans(polygons: list[Ints], cloud: Cloud | None, file: str) -> Ints
         triangles.append(np.stack([first, second, third], axis=-1).reshape(-1, 3))
     faces = np.concatenate(triangles)
     if cloud is None or (len(faces) and (faces.min() < 0 or faces.max() >= len(cloud.xyz))):
-        raise unreadable(file, "has faces with indices of vertices that do not exist")
+        raise unreadable(file, say("has_faces_with_indices_vertices"))
     return faces
 
 
@@ -290,24 +291,24 @@ def _read_ascii(body: bytes, elements: list[_PlyElement], file: str) -> tuple[Cl
     for element in elements:
         rows, at = lines[at : at + element.count], at + element.count
         if len(rows) < element.count:
-            what = f"{element.count:,} {element.name!r} lines, but only {len(rows):,} are there"
-            raise truncated(file, f"is cut off: its header announces {what}")
+            what = say("lines_but", count=element.count, name=repr(element.name), found=len(rows))
+            raise truncated(file, say("cut_off_header_announces", what=what))
         if element.name == "vertex":
             cloud = _ascii_cloud(rows, element, file, splats=_are_splats(elements))
         elif element.name == "face":
             faces = _triangle_fans(_ascii_lists(rows), cloud, file)
     if cloud is None:
-        raise unreadable(file, "is a PLY file without vertices")
+        raise unreadable(file, say("ply_file_without_vertices"))
     return cloud, faces
 
 
 def _ascii_cloud(rows: list[str], element: _PlyElement, file: str, *, splats: bool) -> Cloud:
     """Parse the vertex lines as float64, exact for all PLY types, then cast them, so that colours keep their range."""
     if element.has_list:
-        raise unreadable(file, "has vertices with list properties, which are not supported")
+        raise unreadable(file, say("has_vertices_with_list_properties"))
     table = np.loadtxt(rows, np.float64, comments=None, ndmin=2) if rows else np.zeros((0, len(element.properties)))
     if table.shape[1] != len(element.properties):
-        what = f"has {table.shape[1]} numbers per vertex; its header announces {len(element.properties)}"
+        what = say("has_numbers_per_vertex_header", count=table.shape[1], announced=len(element.properties))
         raise unreadable(file, what)
     columns = {
         item.name: table[:, at] if item.kind[0] == "f" else table[:, at].astype(item.kind)
@@ -324,6 +325,6 @@ def _ascii_lists(rows: list[str]) -> list[Ints]:
         count = int(fields[0])
         corners = [int(field) for field in fields[1 : 1 + count]]
         if len(corners) != count:
-            raise ValueError("a face has fewer corners than its count")
+            raise ValueError(say("face_has_fewer_corners_than"))
         groups.setdefault(count, []).append(corners)
     return [np.array(group, np.int64).reshape(len(group), -1) for group in groups.values()]

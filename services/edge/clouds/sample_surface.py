@@ -10,6 +10,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bytes, Floats, Ints
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 SAMPLES = 100_000  # points per mesh file: 3 mm apart on a square metre
 MAX_FACES = 5_000_000  # summed over all nodes, as a scene can repeat one mesh a million times; 200 bytes each
@@ -30,8 +31,8 @@ class SampledSurface:
 
 def too_many_faces(count: int, file: str) -> CaptureError:
     """Return a CAPTURE_TOO_LARGE error for a file of `count` triangles."""
-    what = f"has {count:,} triangles; at most {MAX_FACES:,} are read"
-    return CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("simplify the mesh",))
+    what = say("has_triangles_most_read", count=count, most=MAX_FACES)
+    return CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(say("simplify_mesh"),))
 
 
 def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
@@ -45,7 +46,7 @@ def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
         areas = [np.nan_to_num(np.linalg.norm(cross, axis=1), nan=0, posinf=0) for cross in crosses]
     total = sum(float(area.sum()) for area in areas)
     if not 0 < total < np.inf:
-        raise CaptureError("CAPTURE_DEGENERATE", "is a mesh whose triangles all have zero area", file=file)
+        raise CaptureError("CAPTURE_DEGENERATE", say("mesh_whose_triangles"), file=file)
     rng = np.random.default_rng(SEED)
     clouds = []
     coloured = any(surface.colour_at for surface in surfaces)

@@ -9,6 +9,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bytes, Floats, Ints
 from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.sample_surface import ColourAt
+from capture2vr.sentences.sentence import in_row, say
 
 _SOME = 3  # names in a warning
 
@@ -37,6 +38,6 @@ def absent_textures(file: str, names: Iterable[str]) -> tuple[str, ...]:
     absent = sorted(set(names))
     if not absent:
         return ()
-    some = ", ".join(name[:80] for name in absent[:_SOME]) + (" and others" if len(absent) > _SOME else "")
-    what = f"its textures are not in the capture, so their colours are missing ({some}); send them together with it"
-    return (f"{file}: {what}",)
+    some = ", ".join(name[:80] for name in absent[:_SOME])
+    names = say("names_and_others", names=some) if len(absent) > _SOME else some
+    return (in_row(": ", (file, say("textures_not_in_capture", names=names))),)

@@ -18,6 +18,7 @@ from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
 from capture2vr.edge.clouds.unnamed_columns import column_layout
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MAX_PARTED_POINTS = 200_000_000  # of files that are read in parts: 8 bytes each while a scene is sorted into tiles
 MAX_POINTS = 20_000_000  # 20 million points of 24 bytes are 480 MB; a phone's scan has one to five million
@@ -30,10 +31,10 @@ _NORMAL = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 
 def too_many_points(count: int, file: str, most: int = MAX_POINTS) -> CaptureError:
     """Return a CAPTURE_TOO_LARGE error for a file of `count` points."""
-    hint = "downsample the point cloud, for example to a spacing of 1 mm"
+    hint = say("downsample_point_cloud_example")
     return CaptureError(
         "CAPTURE_TOO_LARGE",
-        f"has {count:,} points; at most {most:,} points are read",
+        say("has_points_most_points_read", count=count, most=most),
         file=file,
         hints=(hint,),
     )
@@ -45,7 +46,7 @@ def read_npy(path: Path, file: str) -> Cloud:
     if array.dtype.fields is not None:
         return named_columns({name.lower(): array[name].reshape(-1) for name in array.dtype.names or ()}, file)
     if array.ndim != 2 or array.shape[1] < 3:
-        raise unreadable(file, f"has an array of shape {array.shape}; points need the shape (N, 3) or more columns")
+        raise unreadable(file, say("has_array_shape_points_need", shape=array.shape))
     if len(array) > MAX_POINTS:
         raise too_many_points(len(array), file)
     return _unnamed_columns(array.astype(np.float64))
@@ -114,13 +115,13 @@ def read_table(path: Path, file: str) -> Cloud:
     if len(lines) > MAX_POINTS:
         raise too_many_points(len(lines), file)
     if (longest := max(map(len, lines), default=0)) > _MAX_LINE:
-        raise unreadable(file, f"has a line of {longest:,} characters; rows of numbers have at most {_MAX_LINE:,}")
+        raise unreadable(file, say("has_line_characters_rows_numbers", length=longest, most=_MAX_LINE))
     counted = _drop_point_count(lines)
     names = _column_names(lines, file)
     with translate_errors(file, "table of numbers"):
         table = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
     if table.shape[1] < 3:
-        raise unreadable(file, f"has {table.shape[1]} columns; points need at least three: x, y and z")
+        raise unreadable(file, say("has_columns_points_need_least", count=table.shape[1]))
     names = names or _commented_names(path, table.shape[1])
     if names is None:
         return _unnamed_columns(table, counted=counted)
@@ -149,12 +150,12 @@ def _column_names(lines: list[str], file: str) -> list[str] | None:
     """Remove the header line from `lines`; return the column names that it has, or None without one."""
     first = lines[0].split() if lines else []
     if not first:
-        raise CaptureError("CAPTURE_EMPTY", "has no rows of numbers", file=file, hints=("export the capture again",))
+        raise CaptureError("CAPTURE_EMPTY", say("has_no_rows_numbers"), file=file, hints=(say("export_capture_again"),))
     if all(is_number(field) for field in first):
         return None
     del lines[0]
     if not lines:
-        raise CaptureError("CAPTURE_EMPTY", "has a header line, but no rows of numbers", file=file)
+        raise CaptureError("CAPTURE_EMPTY", say("has_header_line"), file=file)
     return [name.strip('"').lower() for name in first]
 
 
@@ -191,7 +192,7 @@ def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
 
 def _require_xyz(columns: dict[str, NDArray[Any]], file: str) -> None:
     if not all(name in columns for name in _XYZ):
-        raise unreadable(file, f"has no columns x, y and z; its columns are {', '.join(list(columns)[:12])}")
+        raise unreadable(file, say("has_no_columns_x_y", names=", ".join(list(columns)[:12])))
 
 
 def _first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, ...], ...]) -> NDArray[Any] | None:

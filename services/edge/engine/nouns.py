@@ -15,6 +15,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from capture2vr.edge.arrays import Tick
 from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.sentences.sentence import say
 
 ATTEMPTS = 4
 """How often a task is begun whose process is killed, or whose machine is lost."""
@@ -100,7 +101,7 @@ def lost(attempts: int) -> EdgeError:
     """Return the error of a task whose process was killed each time."""
     return EdgeError(
         "TASK_LOST",
-        f"the task's process was killed {attempts} times, perhaps for want of memory",
-        hints=("give it more memory, or let fewer tasks run at once",),
+        say("task_process_killed_times_perhaps", times=attempts),
+        hints=(say("give_more_memory_let_fewer"),),
         retryable=True,
     )

@@ -26,6 +26,7 @@ from capture2vr.edge.export.glb_colour import SHORT, TRUE, rgba16
 from capture2vr.edge.export.shading import Shaded, shaded, with_tangents
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.sentences.sentence import say
 
 Packing = Literal["float", "meshopt"]
 
@@ -225,7 +226,7 @@ def _drawable(drawn: _Drawn) -> _Drawn:
     area = np.linalg.norm(face_normals(mesh.vertices.astype(np.float64), mesh.faces), axis=1)
     faces = mesh.faces[area > 0]
     if len(faces) == 0:
-        raise ValueError(f"none of the {len(mesh.faces)} triangles has an area: there is nothing to show")
+        raise ValueError(say("none_triangles_has_area_nothing", count=len(mesh.faces)))
     used = np.zeros(len(mesh.vertices), bool)
     used[faces] = True
     return drawn.with_vertices(used, (np.cumsum(used) - 1)[faces])

@@ -19,6 +19,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bytes, Tick, no_tick
 from capture2vr.edge.child_process import ChildError, run_child
 from capture2vr.edge.errors import EdgeError
+from capture2vr.sentences.sentence import say
 
 VERSION = "0.6.0"
 """Version of npm's ktx2-encoder; another version may give other bytes."""
@@ -35,14 +36,14 @@ class Ktx2Error(EdgeError):
     """A texture could not be encoded as KTX2."""
 
     def __init__(self, why: str) -> None:
-        super().__init__("KTX2_FAILED", why, hints=("use the target without -ktx2: its textures are JPEG",))
+        super().__init__("KTX2_FAILED", why, hints=(say("use_target_without_ktx2_textures"),))
 
 
 def ktx2_unavailable(why: str) -> EdgeError:
     """Make the error for a target that wants KTX2 where there is no encoder."""
     install = f"`npm install --prefix FOLDER ktx2-encoder@{VERSION}`, and set EDGE_KTX2=FOLDER for the worker"
     hint = f"use the target without -ktx2, or install the encoder: Node, {install}"
-    return EdgeError("KTX2_UNAVAILABLE", f"textures cannot be encoded as KTX2 here: {why}", hints=(hint,))
+    return EdgeError("KTX2_UNAVAILABLE", say("textures_cannot_be_encoded", why=why), hints=(hint,))
 
 
 @dataclass(frozen=True, slots=True)

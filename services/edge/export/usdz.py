@@ -21,6 +21,7 @@ from capture2vr.edge.export.shading import Shaded, shaded
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.mesh.simplify import simplify
+from capture2vr.sentences.sentence import say
 
 _SCENE, _PICTURE = "asset.usda", "colour.jpg"
 _ALIGNMENT = 64  # bytes: programs map the files into memory as they lie
@@ -89,7 +90,7 @@ def _round_positions(surface: Shaded) -> Shaded:
     vertices = _round(mesh.vertices, _decimals(mesh.vertices))
     faces = mesh.faces[np.linalg.norm(face_normals(vertices, mesh.faces), axis=1) > 0]
     if len(faces) == 0:
-        raise ValueError(f"none of the {len(mesh.faces)} triangles has an area: there is nothing to show")
+        raise ValueError(say("none_triangles_has_area_nothing", count=len(mesh.faces)))
     used, corners = np.unique(faces, return_inverse=True)
     return replace(surface, mesh=replace(mesh, vertices=vertices)).with_vertices(used, corners.reshape(-1, 3))
 

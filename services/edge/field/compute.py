@@ -18,6 +18,7 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.field.config import BLOCK_BYTES
 from capture2vr.edge.parallel import in_threads
+from capture2vr.sentences.sentence import say
 
 _log = logging.getLogger(__name__)
 
@@ -40,8 +41,8 @@ def open_device(name: str) -> torch.device:
     except (RuntimeError, AssertionError) as error:  # torch asserts where it was built without CUDA
         raise EdgeError(
             "DEVICE_ABSENT",
-            f"this worker cannot compute on '{name}': {str(error).splitlines()[0]}",
-            hints=("use the device cpu", "start a worker on a machine with a GPU and torch built for it"),
+            say("worker_cannot_compute", device=name, why=str(error).splitlines()[0]),
+            hints=(say("use_device_cpu"), say("start_worker_on_machine")),
         ) from None
     return device
 
@@ -178,6 +179,6 @@ def _out_of_memory(message: str) -> EdgeError:
     return EdgeError(
         "GPU_OOM",
         message,
-        hints=("try again when other jobs have ended", "choose a preset with a smaller batch or pool"),
+        hints=(say("try_again_when_other_jobs"), say("choose_preset_with_smaller_batch")),
         retryable=True,
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import DistanceFn, Floats
 from capture2vr.edge.errors import EdgeError
+from capture2vr.sentences.sentence import say
 
 PER_YIELD = {"cpu": 1, "cuda": 25}  # steps between two yields: reading the losses makes a GPU wait
 STEPS_BEFORE_CAPTURE = 3  # as a CUDA graph: allocators, cuBLAS and Adam's state settle in them
@@ -34,8 +35,8 @@ def check_points(xyz_unit: Floats, least: int) -> Floats:
     if len(xyz) < least:
         raise EdgeError(
             "FIT_TOO_FEW_POINTS",
-            f"{len(xyz)} points are too few to fit a field; at least {least} are needed",
-            hints=("scan the thing again, closer", "keep the preview, which needs no fit"),
+            say("points_too_few_to_fit", count=len(xyz), least=least),
+            hints=(say("scan_thing_again_closer"), say("keep_preview_needs_no_fit")),
         )
     return xyz
 
@@ -46,10 +47,10 @@ def refuse_divergence(losses: Mapping[str, float], exploded: float, learning_rat
         return
     raise EdgeError(
         "FIT_DIVERGED",
-        f"the fit diverged at step {step:,}: its loss is {losses['total']:.3g}",
+        say("fit_diverged_step_loss", step=step, loss=losses["total"]),
         hints=(
-            "keep the preview, which needs no fit",
-            f"choose a preset with a learning rate below {learning_rate:g}",
-            "look for points far away from the others",
+            say("keep_preview_needs_no_fit"),
+            say("choose_preset_with_learning_rate", rate=learning_rate),
+            say("look_points_far_away"),
         ),
     )

@@ -14,8 +14,9 @@ from capture2vr.edge.films.film_scan import DEADLINE_S, SKIP, VideoScan, scan_vi
 from capture2vr.edge.films.keyframes import key_frames
 from capture2vr.edge.films.video import VideoFrames, VideoPixels
 from capture2vr.edge.films.video_streams import container_of
+from capture2vr.sentences.sentence import say
 
-_WALK = "walk around the thing while you film, slowly and all the way, with textured things beside it"
+_WALK = say("walk_around_thing_while_you")
 
 
 def find_videos(folder: Folder) -> list[str]:
@@ -29,7 +30,9 @@ def unused_warning(names: Sequence[str]) -> tuple[str, ...]:
     """Return a warning about videos that were not read; none for an empty list."""
     if not names:
         return ()
-    return (f"{names[0]} was not used" if len(names) == 1 else f"{len(names)} videos were not used: {names[0]}, ...",)
+    return (
+        say("not_used", name=names[0]) if len(names) == 1 else say("videos_not_used", count=len(names), name=names[0]),
+    )
 
 
 def read(folder: Folder) -> Capture:
@@ -37,7 +40,7 @@ def read(folder: Folder) -> Capture:
     name, *others = find_videos(folder)
     film = read_film(folder, name)
     beside = len(pictures(folder))
-    few = (f"{beside} photos beside {name} were not used: at least {MIN_PHOTOS} are needed",) if beside else ()
+    few = (say("photos_beside_not_used_least", count=beside, name=name, least=MIN_PHOTOS),) if beside else ()
     return Capture("photos", "video", photos=film.photos, warnings=(*film.warnings, *unused_warning(others), *few))
 
 
@@ -79,11 +82,13 @@ def _too_few_frames(scan: VideoScan, name: str) -> CaptureError:
     """Return the error for a video without enough key frames: too slow, undecodable, too short, or without movement."""
     count = len(scan.frames)
     if scan.late and count < MIN_PHOTOS:
-        reason = f"takes too long to decode: only {count} pictures in {DEADLINE_S:.0f} s"
-        return CaptureError("CAPTURE_TOO_LARGE", reason, file=name, hints=("film in 1920 x 1080",))
+        reason = say("takes_too_long_to_decode_only_pictures", count=count, seconds=DEADLINE_S)
+        return CaptureError("CAPTURE_TOO_LARGE", reason, file=name, hints=(say("film_in_1920_x_1080"),))
     if count < MIN_PHOTOS:
         damaged = scan.broken_s is not None or not count
-        reason = "is damaged: it cannot be decoded" if damaged else f"is too short: it has only {count} frames"
-        return unreadable(name, reason, "copy it from the phone again, or film for 20 seconds")
-    reason = f"shows the thing from one side only: in {scan.end_s:.0f} s hardly anything moves"
-    return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=name, hints=(_WALK, f"or {WALK_AROUND_ADVICE}"))
+        reason = say("damaged_cannot_be_decoded") if damaged else say("too_short_has_only_frames", count=count)
+        return unreadable(name, reason, say("copy_from_phone_again_film"))
+    reason = say("shows_thing_from_one_side", seconds=scan.end_s)
+    return CaptureError(
+        "CAPTURE_LOW_OVERLAP", reason, file=name, hints=(_WALK, say("or_advice", advice=WALK_AROUND_ADVICE))
+    )

@@ -15,6 +15,7 @@ from capture2vr.edge.arrays import Bytes, Tick, no_tick
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films.keyframes import SCAN_LONGEST_PX, PathTracker, ScannedFrame, sharpness
 from capture2vr.edge.films.video_streams import FrameIndex, Skip, VideoStream, decode_packet, open_video, read_index
+from capture2vr.sentences.sentence import say
 
 SKIP: Skip = "NONREF"  # non-reference frames: half of the frames of a phone's video; decoding takes half the time
 DEADLINE_S = 40.0  # seconds of decoding for any video; what was scanned until then is used
@@ -117,14 +118,12 @@ class VideoScan:
         """Return a warning about the part of the video that could not be decoded, if any."""
         header_s = self.stream.duration_s
         if self.late:
-            reason = f"only the first {self.end_s:.0f} s of {self._length_s():.0f} s were decoded within the time limit"
-            return (f"{name}: {reason}; film for a minute at most",)
+            reason = say("only_first_s_s_decoded", seconds=self.end_s, length=self._length_s())
+            return (say("reason_then_film_minute", name=name, reason=reason),)
         if self.broken_s is not None:
-            return (f"{name} is damaged at {self.broken_s:.1f} s; only the parts that can be decoded were used",)
+            return (say("damaged_s_only_parts", name=name, seconds=self.broken_s),)
         if self._length_s() < header_s - _TAIL_S:
-            return (
-                f"{name} is cut off at {self._length_s():.1f} s of {header_s:.1f} s; the part until there was used",
-            )
+            return (say("cut_off_s_s_part", name=name, seconds=self._length_s(), length=header_s),)
         return ()
 
 
@@ -132,7 +131,7 @@ def scan_video(path: Path, name: str, tick: Tick = no_tick) -> VideoScan:
     """Scan a video file. Raises CAPTURE_EMPTY, CAPTURE_UNREADABLE, CAPTURE_TOO_LARGE and IMAGE_TOO_LARGE."""
     index = read_index(open_video(path, name), name)
     if not index.stamps:
-        raise CaptureError("CAPTURE_EMPTY", "is a video without frames", file=name, hints=("film the thing again",))
+        raise CaptureError("CAPTURE_EMPTY", say("video_without_frames"), file=name, hints=(say("film_thing_again"),))
     scan = VideoScan(open_video(path, name, SKIP), index)
     scan.run(tick)
     return scan

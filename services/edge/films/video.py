@@ -15,6 +15,7 @@ from capture2vr.edge.arrays import Bytes
 from capture2vr.edge.capture.files import translate_errors
 from capture2vr.edge.capture.images import broken_image
 from capture2vr.edge.films.video_streams import FrameIndex, Skip, VideoStream, decode_packet, open_video, read_index
+from capture2vr.sentences.sentence import say
 
 _CACHED_PX = 1600  # longer side of the frames in the cache: more than alignment and stereo ever need
 
@@ -81,7 +82,7 @@ class VideoFrames:
             stamps = self._read_index().stamps
             frame = self._frame(stamps[index]) if index < len(stamps) else None
             if frame is None:
-                raise broken_image(self.file, f"ends before frame {index}")
+                raise broken_image(self.file, say("ends_before_frame", index=index))
             return np.ascontiguousarray(frame.to_ndarray(format="rgb24"))
 
     def at(self, stamp: int, size: tuple[int, int]) -> Bytes:
@@ -91,7 +92,7 @@ class VideoFrames:
             if frame is None or frame.width < size[0]:
                 frame = self._frame(stamp)
             if frame is None:
-                raise broken_image(self.file, "has a frame that cannot be decoded")
+                raise broken_image(self.file, say("has_frame_cannot_be_decoded"))
             scaled = frame.reformat(*size, format="rgb24", interpolation="AREA")
             return np.ascontiguousarray(scaled.to_ndarray())
 

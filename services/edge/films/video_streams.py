@@ -16,12 +16,13 @@ from typing import Any, Literal
 from capture2vr.edge.capture.files import translate_errors, unreadable
 from capture2vr.edge.capture.images import check_pixels
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MAX_PIXELS = 8192 * 4320  # of a frame: the largest that phones record; a decoder keeps up to 16 in memory
 MAX_FRAMES = 60_000  # of a video: half an hour at 30 frames per second; a walk around an object takes one minute
 _BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")  # types of the first box of ISO media and QuickTime
 _MATROSKA = b"\x1aE\xdf\xa3"
-_SEND_AGAIN = "copy it from the phone again, or export it as mp4"
+_SEND_AGAIN = say("copy_from_phone_again_export")
 
 
 def container_of(head: bytes) -> str | None:
@@ -77,14 +78,14 @@ def open_video(path: Path, file: str, skip: Skip = "DEFAULT") -> VideoStream:
         with path.open("rb") as stream:
             kind = container_of(stream.read(8))
         if kind is None:
-            raise unreadable(file, "is not an mp4, mov or webm video", _SEND_AGAIN)
+            raise unreadable(file, say("not_mp4_mov_webm_video"), _SEND_AGAIN)
         try:
             container = av.open(str(path), format=kind)
         except av.FFmpegError:  # its text has the server's own path
-            raise unreadable(file, "is a video that was cut off or never finished", _SEND_AGAIN) from None
+            raise unreadable(file, say("video_cut_off_never_finished"), _SEND_AGAIN) from None
         films = [film for film in container.streams.video if not film.disposition & av.stream.Disposition.attached_pic]
         if not films or films[0].codec_context is None:
-            raise unreadable(file, "has no video track that can be read", _SEND_AGAIN)
+            raise unreadable(file, say("has_no_video_track"), _SEND_AGAIN)
         codec = films[0].codec_context
         codec.options = {"max_pixels": str(MAX_PIXELS)}
         codec.thread_type, codec.skip_frame = "AUTO", skip
@@ -123,7 +124,7 @@ def read_index(stream: VideoStream, file: str) -> FrameIndex:
     packets = (packet for packet in stream.packets() if packet.size and packet.pts is not None)
     found = [(packet.pts, packet.is_keyframe, packet.is_discard) for packet in islice(packets, MAX_FRAMES + 1)]
     if len(found) > MAX_FRAMES:
-        hint = ("film for a minute at most",)
-        raise CaptureError("CAPTURE_TOO_LARGE", f"has more than {MAX_FRAMES:,} frames", file=file, hints=hint)
+        hint = (say("film_minute"),)
+        raise CaptureError("CAPTURE_TOO_LARGE", say("has_more_than_frames", most=MAX_FRAMES), file=file, hints=hint)
     shown = sorted((stamp, key) for stamp, key, left_out in found if not left_out)
     return FrameIndex(tuple(stamp for stamp, _ in shown), tuple(stamp for stamp, key in shown if key))

@@ -14,6 +14,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.capture.nouns import Frame
 from capture2vr.edge.points.nouns import Points, UnseenSide
+from capture2vr.sentences.sentence import say
 
 _FRONTAL_DEG = 65.0
 """Largest angle between a normal and the direction to a camera: beyond it pixels cover twice their width or more."""
@@ -36,14 +37,14 @@ _ABOVE_DEG = 60.0
 _OTHER_HEIGHT_DEG = 12.0
 """Degrees beyond the lowest or highest camera that people notice as another height."""
 _SIDES = (
-    "the front",
-    "the front right",
-    "the right",
-    "behind on the right",
-    "behind",
-    "behind on the left",
-    "the left",
-    "the front left",
+    say("side_front"),
+    say("side_front_right"),
+    say("side_right"),
+    say("behind_on_right"),
+    say("side_behind"),
+    say("behind_on_left"),
+    say("side_left"),
+    say("side_front_left"),
 )
 """Names of the directions as seen in the first picture, in steps of 45 degrees."""
 
@@ -135,10 +136,10 @@ def _reachable(direction: Floats, up: Floats) -> Floats:
 
 def _advice(toward: Floats, up: Floats, frames: Sequence[Frame], centre: Floats, share: float) -> str:
     """Return the advice, such as "Shoot from behind, higher up: …"; sides are as seen in the first picture."""
-    reason = f"{share:.0%} of the thing is seen too little"
+    reason = say("thing_seen_too_little", share=share)
     rise = _elevation(toward, up)
     if rise > _ABOVE_DEG:
-        return f"Shoot from above: {reason}."
+        return say("shoot_from_above", reason=reason)
     first = np.asarray(frames[0].camera_to_world, np.float64)
     # "Front" is towards the camera; for a picture from above, towards its lower edge.
     front = _level(-first[:3, 2] + 0.2 * first[:3, 1], up)
@@ -146,12 +147,11 @@ def _advice(toward: Floats, up: Floats, frames: Sequence[Frame], centre: Floats,
     side = _SIDES[round(float(np.degrees(np.arctan2(toward @ right, toward @ front))) / 45) % 8]
     eyes = [np.asarray(frame.camera_to_world, np.float64)[:3, 3] - centre for frame in frames]
     rises = [_elevation(eye / np.linalg.norm(eye), up) for eye in eyes]
-    height = ""
     if rise > max(rises) + _OTHER_HEIGHT_DEG:
-        height = ", higher up"
+        side = say("higher_up", side=side)
     elif rise < min(rises) - _OTHER_HEIGHT_DEG:
-        height = ", lower down"
-    return f"Shoot from {side}{height}, as seen in the first picture: {reason}."
+        side = say("lower_down", side=side)
+    return say("shoot_from_as_seen", side=side, reason=reason)
 
 
 def _elevation(direction: Floats, up: Floats) -> float:

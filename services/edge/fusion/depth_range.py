@@ -10,6 +10,7 @@ import numpy as np
 from capture2vr.edge.capture.nouns import Frame
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.points.depth_limits import DepthLimits, load_depth
+from capture2vr.sentences.sentence import say
 
 MIN_PIXELS = 100
 """Least number of usable depth pixels in a whole capture; fewer do not describe a surface."""
@@ -70,7 +71,7 @@ def survey_frames(frames: Sequence[Frame]) -> Survey:
     warnings: tuple[str, ...] = ()
     trusted = float(np.mean(confidence[usual] >= _MIN_CONFIDENCE))
     if trusted < 0.05:
-        warnings = (f"Only {trusted:.1%} of the depth pixels are marked as confident, so all of them were used.",)
+        warnings = (say("only_depth_pixels_marked", trusted=trusted),)
     limits = DepthLimits(near_m, far_m, _MIN_CONFIDENCE if trusted >= 0.05 else 0.0)
     return Survey(limits, float(np.percentile(pixel[usual], _NEARER_HALF)), warnings)
 
@@ -79,12 +80,18 @@ def too_few_pixels(frames: int, read: int, usable: int, limits: DepthLimits) -> 
     """Return the error for `frames` depth images with `read` pixels of depth, of which `usable` passed the filters."""
     return CaptureError(
         "CAPTURE_TOO_FEW_POINTS",
-        f"of {read} depth pixels in {frames} frames only {usable} are usable"
-        f" (between {limits.near_m:.2f} and {limits.far_m:.1f} m, confident, not at an edge); at least {MIN_PIXELS}"
-        " are needed",
+        say(
+            "depth_pixels_in_frames",
+            read=read,
+            frames=frames,
+            usable=usable,
+            near=limits.near_m,
+            far=limits.far_m,
+            least=MIN_PIXELS,
+        ),
         hints=(
-            "Hold the phone 0.3 to 4 m away from the thing.",
-            "Glass, mirrors, black and shiny surfaces return no depth.",
-            "Check that the depth images are in metres or millimetres as their format says.",
+            say("hold_phone_0_3"),
+            say("glass_mirrors_black_shiny_surfaces"),
+            say("check_depth_images_in_metres"),
         ),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import Frame
 from capture2vr.edge.fusion.fuse import has_stereo_depth
+from capture2vr.sentences.sentence import say
 
 _MISSED_BY = 0.25
 """Largest median distance of the optical axes from their meeting point, over the median distance of the cameras from
@@ -35,7 +36,7 @@ def sees_a_scene(frames: Sequence[Frame]) -> str:
     Photos show the surroundings whether they are wanted or not; a depth sensor is pointed at what is wanted.
     """
     if not has_stereo_depth(frames):
-        return "a depth sensor is pointed at what is wanted"
+        return say("depth_sensor_pointed_what_wanted")
     poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in frames])
     eyes, axes = poses[:, :3, 3], poses[:, :3, 2]
     point = meeting_point(eyes, axes)
@@ -43,10 +44,10 @@ def sees_a_scene(frames: Sequence[Frame]) -> str:
     missed = np.linalg.norm(point - eyes - away[:, None] * axes, axis=1)
     if np.mean(away > 0) < _IN_FRONT or np.median(missed) >= _MISSED_BY * np.median(away):
         if np.linalg.norm(axes.mean(axis=0)) > _PARALLEL:
-            return "the cameras look past each other, as along a wall, and not at one thing"
-        return "the cameras look outward, as from the middle of a room, and not at one thing"
+            return say("cameras_look_past_each_other")
+        return say("cameras_look_outward")
     if _depth_of_middle(frames, away) > _BEYOND:
-        return "the cameras look across a room: there is nothing where their views meet"
+        return say("cameras_look_across_room_nothing")
     return ""
 
 

@@ -13,6 +13,7 @@ from capture2vr.edge.field.device import Device
 from capture2vr.edge.jobs.points_archive import VERSION
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
 from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.sentences.documents import codes_as_json
 
 CHOICES: tuple[str, ...] = get_args(preset_choice.PresetName)
 """Names of the presets that the automatic choice may choose."""
@@ -64,4 +65,5 @@ def _to_message(preset: Preset, known: Mapping[str, Preset], device: Device) -> 
         memory_bytes=max(memory_bytes(each, each.most_points, device.name) for each in choices),
         literature=preset.literature,
         takes=preset.takes,
+        i18n=codes_as_json(summary=preset.summary, takes=preset.takes),
     )

@@ -21,6 +21,7 @@ from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api.grpc_client import GrpcClient, StreamEnded
 from capture2vr.edge.jobs.points_archive import VERSION
 from capture2vr.process.grpc_security import NO_CREDENTIALS, ClientCredentials
+from capture2vr.sentences.sentence import say
 
 _log = logging.getLogger(__name__)
 
@@ -127,7 +128,7 @@ class Central:
         """Raise CentralUnavailable unless it would take a job with this preset now."""
         worker = self.worker()
         if fault := _fault(worker):
-            raise CentralUnavailable(f"central at {self.address} {fault}")
+            raise CentralUnavailable(say("central_fault", address=self.address, fault=fault))
         if preset not in {each.name for each in worker.presets}:
             raise CentralUnavailable(f"central at {self.address} does not offer preset {preset}")
 
@@ -187,7 +188,9 @@ class Central:
         try:
             return await self._client.result().worker(self.timeouts.answer_s, wait_for_ready=True)
         except grpc.aio.AioRpcError as error:
-            raise CentralUnavailable(f"central at {self.address} {_call_fault(error.code())}") from None
+            raise CentralUnavailable(
+                say("central_fault", address=self.address, fault=_call_fault(error.code()))
+            ) from None
 
     async def _poll(self) -> None:
         while True:
@@ -210,7 +213,7 @@ class Central:
 def _call_fault(status: grpc.StatusCode) -> str:
     """Why a call failed, in words after "central at host:port"; a wrong token is named, for it can be corrected."""
     refused = status is grpc.StatusCode.UNAUTHENTICATED
-    return "refuses this worker's EDGE_CENTRAL_TOKEN" if refused else "could not be reached"
+    return "refuses this worker's EDGE_CENTRAL_TOKEN" if refused else say("could_not_be_reached")
 
 
 def _fault(worker: pb.Worker) -> str:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.asset.assemble import publishing as publishing_message
 from capture2vr.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, preview_share
 from capture2vr.edge.engine.nouns import OpenEngine
 from capture2vr.edge.errors import EdgeError
@@ -21,9 +22,12 @@ from capture2vr.edge.pipeline import PreviewKept, bundles
 from capture2vr.edge.preset import AUTOMATIC, Preset, memory_bytes
 from capture2vr.edge.progress import Bar, Progress
 from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.coded_messages import coded_progress
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import Report
 from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.sentences.documents import codes_as_json
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, Json
 from capture2vr.storage.catalogue.job_versions import StaleFence
 from capture2vr.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, publish
@@ -106,7 +110,8 @@ class FieldFitter:
                             has_room = True
                     case PreviewKept():
                         warnings, computing = (*warnings, step.warning), step.seconds
-        return pb.Finished(warnings=warnings, seconds={"PUBLISHING": publishing, **computing})
+        seconds = {"PUBLISHING": publishing, **computing}
+        return pb.Finished(warnings=warnings, seconds=seconds, i18n=codes_as_json(warnings=warnings))
 
     def _publish_bundle(
         self, bundle: Bundle, request: ReconstructionRequest, reached: float, report: Report
@@ -116,7 +121,7 @@ class FieldFitter:
         reached  fraction of the job that is done
         Raises EdgeError FENCE_STALE, KEY_ELSEWHERE, STORE_UNAVAILABLE, and Cancelled when `report` does.
         """
-        publishing = pb.Progress(stage=pb.PUBLISHING, fraction=reached, message=f"publishing the {bundle.state}")
+        publishing = coded_progress(publishing_message(bundle.state), stage=pb.PUBLISHING, fraction=reached)
         try:
             return self._publish(
                 bundle,
@@ -129,21 +134,21 @@ class FieldFitter:
                 proceed=lambda: report(publishing),
             )
         except StaleFence:
-            message = "another worker has taken over the job; the result of this one is discarded"
+            message = say("another_worker_has_taken_over")
             raise EdgeError("FENCE_STALE", message) from None
         except KeyElsewhere as elsewhere:
-            raise EdgeError("KEY_ELSEWHERE", str(elsewhere), hints=("choose another key",)) from None
+            raise EdgeError("KEY_ELSEWHERE", str(elsewhere), hints=(say("choose_another_key"),)) from None
         except OSError as error:
             _log.warning("job %s: the bundle could not be written to the store: %s", request.job, error)
-            message = "the result could not be written to the store"
-            raise EdgeError("STORE_UNAVAILABLE", message, hints=("try again later",), retryable=True) from error
+            message = say("result_could_not_be_written")
+            raise EdgeError("STORE_UNAVAILABLE", message, hints=(say("try_again_later"),), retryable=True) from error
 
     def _refusal(self, preset: Preset, points: int) -> str:
         """Why a preset cannot be trained here on that many points: "" where the whole budget suffices."""
         needed, total = self._bytes(preset, points), self._memory.total_bytes
         if needed <= total:
             return ""
-        return f"preset {preset.name} needs {needed:,} bytes for {points:,} points; this worker has {total:,}"
+        return say("preset_needs_bytes_points_worker", preset=preset.name, needed=needed, points=points, total=total)
 
     def _too_large(self, manifest: Mapping[str, Json]) -> EdgeError | None:
         """The error MEMORY_EXCEEDED, where the fit after a preview needs more than the whole budget; else None."""
@@ -157,7 +162,7 @@ class FieldFitter:
         return EdgeError(
             "MEMORY_EXCEEDED",
             refusal,
-            hints=(f"use one of: {', '.join(small)}", "or a worker with a larger EDGE_MEMORY"),
+            hints=(say("use_one", names=", ".join(small)), say("worker_with_larger_edge_memory")),
         )
 
     def _make_room(
@@ -174,7 +179,7 @@ class FieldFitter:
 
     def _reserve_memory(self, manifest: Mapping[str, Json], report: Report) -> AbstractContextManager[None]:
         """Reserve the memory of the fit after a preview, and wait until it is free."""
-        waiting = pb.Progress(stage=pb.FITTING, message="waiting for memory that other jobs use")
+        waiting = coded_progress(say("waiting_memory_other_jobs_use"), stage=pb.FITTING)
         return self._memory.reserve(self._fit_bytes(manifest), lambda: report(waiting))
 
     def _fit_bytes(self, manifest: Mapping[str, Json]) -> int:
@@ -188,9 +193,7 @@ class FieldFitter:
 
 def to_wire(progress: Progress) -> pb.Progress:
     """Convert the pipeline's progress to the wire's message."""
-    return pb.Progress(
-        stage=progress.stage, fraction=progress.fraction, message=progress.message, losses=progress.losses
-    )
+    return coded_progress(progress.message, stage=progress.stage, fraction=progress.fraction, losses=progress.losses)
 
 
 def _published_message(asset: PublishedAsset, collection: str) -> pb.Published:

@@ -15,8 +15,11 @@ from capture2vr.edge.api.grpc_client import RUN_UNKNOWN, GrpcClient, StreamEnded
 from capture2vr.edge.api.header_options import header_fields
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.jobs.central_client import Central, CentralUnavailable
+from capture2vr.edge.worker.coded_messages import coded_progress
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import JobReturned, Report
+from capture2vr.sentences.documents import read_codes
+from capture2vr.sentences.sentence import say
 
 _log = logging.getLogger(__name__)
 
@@ -80,7 +83,7 @@ class _Forwarding:
         """Upload the points, and follow the job to its end."""
         size = archive.stat().st_size
         header = _header(self._request, size)
-        self._report_message(f"sending {size:,} bytes of points to central at {self._central.address}")
+        self._report_message(say("sending_bytes_points_to_central", size=size, address=self._central.address))
         admit_s = self._timeouts.admit_s
         try:
             return self._follow(lambda client: client.reconstruct(header, file_chunks(archive), admit_s=admit_s))
@@ -89,7 +92,7 @@ class _Forwarding:
             known = ended.status == grpc.StatusCode.ALREADY_EXISTS or self._seq > 0
             if not known and (ended.status in _REFUSALS or not ended.delivered):
                 fault = f"did not take the points ({ended})"
-                raise CentralUnavailable(f"central at {self._central.address} {fault}") from None
+                raise CentralUnavailable(say("central_fault", address=self._central.address, fault=fault)) from None
         return self.follow_run()
 
     def follow_run(self) -> pb.Finished:
@@ -102,7 +105,7 @@ class _Forwarding:
         except StreamEnded as ended:
             if ended.status in RUN_UNKNOWN:
                 raise self._run_unknown() from None
-            raise self._lost(f"could not be reached for {give_up_s:.0f} s") from None
+            raise self._lost(say("could_not_be_reached_s", seconds=give_up_s)) from None
 
     def _follow(self, call: Callable[[GrpcClient], AsyncGenerator[pb.Event, None]]) -> pb.Finished:
         """Report the events of a call, to the run's end. Raises StreamEnded where the call ends before the run."""
@@ -117,7 +120,7 @@ class _Forwarding:
     def _check_cancelled(self) -> None:
         """Repeat the last report: it raises Cancelled if the job was cancelled."""
         if self._reconnecting.is_set():
-            self._report_message(f"reconnecting to central at {self._central.address}")
+            self._report_message(say("reconnecting_to_central", address=self._central.address))
         else:
             self._report(self._last)
 
@@ -147,10 +150,11 @@ class _Forwarding:
             losses=progress.losses,
             eta_s=progress.eta_s,
             message=progress.message,
+            i18n=progress.i18n,
         )
 
     def _report_message(self, message: str) -> None:
-        self._report(pb.Progress(stage=self._last.stage, fraction=self._last.fraction, message=message))
+        self._report(coded_progress(message, stage=self._last.stage, fraction=self._last.fraction))
 
     @contextmanager
     def cancelling_central(self) -> Iterator[None]:
@@ -170,11 +174,11 @@ class _Forwarding:
         """The error for a central that does not know the run: it never had the job, or lost it after an event."""
         if self._seq == 0:
             return CentralUnavailable(f"central at {self._central.address} does not have the points that were sent")
-        return self._lost("no longer knows the job; it may have been restarted")
+        return self._lost(say("no_longer_knows_job_may"))
 
     def _lost(self, why: str) -> EdgeError:
-        message = f"central at {self._central.address}, which had taken the job, {why}"
-        return EdgeError("CENTRAL_LOST", message, hints=("send the job again: its points are kept",), retryable=True)
+        message = say("central_had_taken_job", address=self._central.address, why=why)
+        return EdgeError("CENTRAL_LOST", message, hints=(say("send_job_again_points_kept"),), retryable=True)
 
 
 def _header(request: ReconstructionRequest, size: int) -> pb.Header:
@@ -194,10 +198,11 @@ def _header(request: ReconstructionRequest, size: int) -> pb.Header:
 
 def _to_error(failure: pb.Failure) -> EdgeError:
     """Convert the failure that central reports to the error of this worker's job."""
+    said = read_codes(failure.i18n, message=failure.message, hints=tuple(failure.hints))
     return EdgeError(
         failure.code,
-        failure.message,
+        said["message"],
         file=failure.file or None,
-        hints=tuple(failure.hints),
+        hints=tuple(said["hints"]),
         retryable=failure.retryable,
     )

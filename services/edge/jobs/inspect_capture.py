@@ -27,6 +27,8 @@ from capture2vr.edge.single_photo.cutout import cut_out
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.process.archives import ArchiveError, unpack
 from capture2vr.process.fork_client import Forked, ForkServer
+from capture2vr.sentences.documents import codes_as_json
+from capture2vr.sentences.sentence import say
 
 ANSWER = "inspection.pb"
 """File that the process writes: a serialised `Inspection`."""
@@ -63,10 +65,10 @@ class Inspector:
             raise RuntimeError(f"an inspection failed: {said['failed']}")
         status = said.get("ended", -signal.SIGKILL)
         if status in _USED_UP:
-            raise too_costly("more time")
+            raise too_costly(say("more_time"))
         if status:
             name = signal.Signals(-status).name if status < 0 else f"status {status}"
-            raise CaptureError("CAPTURE_UNREADABLE", f"cannot be read: its reader crashed ({name})")
+            raise CaptureError("CAPTURE_UNREADABLE", say("cannot_be_read_reader_crashed", name=name))
         return pb.Inspection.FromString((scratch / ANSWER).read_bytes())
 
 
@@ -107,7 +109,7 @@ def _read_to_end(channel: socket.socket, deadline: float, tick: Tick) -> bytes:
 
 def too_costly(what: str) -> CaptureError:
     """Return a CAPTURE_TOO_LARGE error for a capture that needs more of something than its size explains."""
-    return CaptureError("CAPTURE_TOO_LARGE", f"needs {what} to be read than a capture of its size may take")
+    return CaptureError("CAPTURE_TOO_LARGE", say("needs_to_be_read_than", what=what))
 
 
 def unpack_capture(archive: Path, scratch: Path) -> Path:
@@ -130,12 +132,14 @@ def inspect(folder: Path, box: PhotoBox | None) -> pb.Inspection:
     capture = read_capture(folder)
     require_single_photo(capture, box)
     cut = cut_out(capture.photos[0], box) if capture.kind == "image" else None
+    warnings = (*capture.warnings, *(cut.warnings if cut else ()))
     return pb.Inspection(
         kind=capture.kind,
         format=capture.format,
         frames=_frames(capture),
         points=capture.whole.count if capture.whole else len(capture.cloud.xyz) if capture.cloud else 0,
-        warnings=(*capture.warnings, *(cut.warnings if cut else ())),
+        warnings=warnings,
+        i18n=codes_as_json(warnings=warnings),
         outline=[pb.Polygon(xy=chain.from_iterable(line)) for line in (cut.outline() if cut else ())],
     )
 

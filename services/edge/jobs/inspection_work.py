@@ -14,6 +14,7 @@ from capture2vr.edge.jobs.inspect_capture import ANSWER, inspect, too_costly, un
 from capture2vr.edge.worker.failures import failure_of
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.process.fork_server import Send
+from capture2vr.sentences.sentence import say
 
 # Beside the interpreter and its libraries, which have 350 MB: rows of text take 15 times their bytes when they are
 # parsed, and are parsed at 20 MB a second.
@@ -38,7 +39,7 @@ def work(order: dict[str, Any], _: Send) -> None:
     except EdgeError as error:
         answer = _failed(error, scratch)
     except MemoryError:
-        answer = _failed(too_costly("more memory"), scratch)
+        answer = _failed(too_costly(say("more_memory")), scratch)
     (scratch / ANSWER).write_bytes(answer.SerializeToString())
 
 

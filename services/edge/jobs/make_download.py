@@ -12,6 +12,7 @@ from capture2vr.edge.child_process import ChildError, run_child
 from capture2vr.edge.errors import EdgeError
 from capture2vr.order.download_formats import MESH
 from capture2vr.process.child_start import python_command
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import content_name
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download, store_download
 from capture2vr.storage.catalogue.faults import CatalogueFault
@@ -42,11 +43,11 @@ def make_download(store: Store, order: DownloadOrder, scratch: Path, tick: Tick)
         made = _convert(order, folder, scratch, tick)
         return store_download(store, order, made, {file.sha256: file.name for file in files})
     except (FileNotFoundError, CatalogueFault) as error:
-        message = f"a file that {order.format.name} is made from is not on the store as it was published"
-        hints = ("publish the asset again, or restore the file from a backup",)
+        message = say("file_made", format=order.format.name)
+        hints = (say("publish_asset_again_restore_file"),)
         raise EdgeError("DOWNLOAD_SOURCE_MISSING", message, hints=hints) from error
     except OSError as error:
-        raise EdgeError("STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
+        raise EdgeError("STORE_UNAVAILABLE", say("store_does_not_answer"), retryable=True) from error
 
 
 def _inputs(order: DownloadOrder, files: Sequence[AssetFile], manifest: dict[str, Any]) -> list[AssetFile]:
@@ -59,11 +60,11 @@ def _inputs(order: DownloadOrder, files: Sequence[AssetFile], manifest: dict[str
     if str(manifest.get("target", "")).endswith("-ktx2"):
         wanted.add(MESH)
     if missing := [file for file in order.format.needs if file not in by_file]:
-        raise EdgeError("DOWNLOAD_IMPOSSIBLE", f"the asset has no {missing[0]}, which {order.format.name} is made from")
+        raise EdgeError("DOWNLOAD_IMPOSSIBLE", say("asset_has_no_made", what=missing[0], format=order.format.name))
     inputs = [by_file[file] for file in sorted(wanted & by_file.keys())]
     if (total := sum(file.size for file in inputs)) > _MOST_BYTES:
-        most = f"at most {_MOST_BYTES:,} can be converted to {order.format.name}"
-        raise _too_large(f"the asset's files have {total:,} bytes; {most}")
+        most = say("most_can_be_converted", most=_MOST_BYTES, format=order.format.name)
+        raise _too_large(say("asset_files_have_bytes", total=total, most=most))
     return inputs
 
 
@@ -77,10 +78,10 @@ def _convert(order: DownloadOrder, folder: Path, scratch: Path, tick: Tick) -> P
     except ChildError as error:
         if error.too_slow or "MemoryError" in str(error):
             what = "time" if error.too_slow else "memory"
-            raise _too_large(f"the asset needs too much {what} to be converted to {order.format.name}") from error
-        raise RuntimeError(f"{order.key} could not be converted to {order.format.name}: {error}") from error
+            raise _too_large(say("asset_needs_too_much", what=what, format=order.format.name)) from error
+        raise RuntimeError(say("could_not_be_converted", key=order.key, format=order.format.name, why=error)) from error
     return out
 
 
 def _too_large(message: str) -> EdgeError:
-    return EdgeError("DOWNLOAD_TOO_LARGE", message, hints=("download another format, or the asset's own files",))
+    return EdgeError("DOWNLOAD_TOO_LARGE", message, hints=(say("download_another_format_asset_own"),))

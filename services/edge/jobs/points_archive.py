@@ -40,8 +40,9 @@ from capture2vr.edge.points.nouns import CutReport, Points, UnseenSide
 from capture2vr.order.edits import Edits
 from capture2vr.process.archives import ArchiveError, ArchiveLimits, unpack
 from capture2vr.process.atomic_write import atomic_write
+from capture2vr.sentences.documents import restored, with_codes, with_sentences
 
-VERSION = 6
+VERSION = 7
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
@@ -106,7 +107,8 @@ def write_prepared(prepared: PreparedPoints, archive: Path) -> None:
             write_array(packed, name, np.ascontiguousarray(array, _array_type(name, len(points))[0]))
         write_views(packed, views)
         whole = None if points.whole is None else write_whole(packed, points.whole, points.xyz.mean(axis=0))
-        packed.writestr(_HEAD, _HEADS.dump_json(_head_of(prepared, tuple(view.head for view in views), whole)))
+        head = _HEADS.dump_python(_head_of(prepared, tuple(view.head for view in views), whole))
+        packed.writestr(_HEAD, json.dumps(with_codes(head)))
 
 
 def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
@@ -185,7 +187,10 @@ def _read_head(path: Path) -> _Head:
     text = path.read_bytes()
     _require_version(text)
     try:
-        head = _HEADS.validate_json(text, strict=True)
+        document = with_sentences(json.loads(text))
+        head = restored(_HEADS.validate_json(json.dumps(document), strict=True), document)
+    except RecursionError:
+        raise invalid("is nested too deeply", _HEAD) from None
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         raise invalid(f"{'.'.join(map(str, first['loc']))}: {first['msg']}", _HEAD) from None

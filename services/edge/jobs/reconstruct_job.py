@@ -28,9 +28,11 @@ from capture2vr.edge.preset import AUTOMATIC
 from capture2vr.edge.progress import Bar, Progress
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.coded_messages import coded_progress
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import Report
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
 from capture2vr.storage.tenant_store import store_of_tenant
@@ -118,7 +120,7 @@ class Reconstructor:
             _log.warning("job %s: %s", request.job, unavailable)
             if not self._own_offer.has(request.options.preset):
                 raise _unavailable(unavailable, request.options.preset) from None
-            prepared = _with_warning(prepared, f"{unavailable}: the field was fitted on this worker")
+            prepared = _with_warning(prepared, say("field_fitted_on_worker", unavailable=unavailable))
             finished = self._fitter.fit(prepared, bar, request, checkpoint, report)
         return _with_validating(finished, seconds)
 
@@ -131,7 +133,8 @@ class Reconstructor:
         self, archive: Path, request: ReconstructionRequest, scratch: Path, bar: Bar, report: Report
     ) -> tuple[PreparedPoints, float]:
         """Make or read the points of an archive; also return the seconds that reading the archive took."""
-        reading = pb.Progress(stage=pb.VALIDATING, message=f"reading the {'points' if request.prepared else 'capture'}")
+        what = say("word_points" if request.prepared else "word_capture")
+        reading = coded_progress(say("reading", what=what), stage=pb.VALIDATING)
         report(reading)
         began = time.perf_counter()
         if request.prepared:
@@ -174,5 +177,5 @@ def _with_validating(finished: pb.Finished, seconds: float) -> pb.Finished:
 
 
 def _unavailable(unavailable: CentralUnavailable, preset: str) -> EdgeError:
-    message = f"{unavailable}, and this worker does not offer preset {preset}"
-    return EdgeError("CENTRAL_UNAVAILABLE", message, hints=("try again later",), retryable=True)
+    message = say("central_unavailable_and_preset_not_here", unavailable=str(unavailable), preset=preset)
+    return EdgeError("CENTRAL_UNAVAILABLE", message, hints=(say("try_again_later"),), retryable=True)

@@ -24,6 +24,7 @@ from capture2vr.edge.arrays import Floats, Ints
 from capture2vr.edge.capture.nouns import Frame, Intrinsics
 from capture2vr.edge.fusion.observe import at_resolution
 from capture2vr.edge.points.frame_faults import FrameFaults
+from capture2vr.sentences.sentence import say
 
 _MOST_FRAMES = 24
 _STEPS = (-2, -1, 1, 2)  # from a frame to those that it is compared with, among the chosen ones
@@ -62,7 +63,7 @@ def pose_fault(frames: Sequence[Frame]) -> str | None:
     numbers = np.unique(np.linspace(0, len(frames) - 1, min(_MOST_FRAMES, len(frames))).round().astype(int))
     glimpses = [found for number in numbers.tolist() if (found := _glimpse(frames[number])) is not None]
     if (jump := _jump(frames, glimpses)) > _LONGEST_JUMP:
-        return f"from frame to frame the camera poses are {jump:.0f} times as far apart as the cameras see"
+        return say("from_frame_to_frame_camera", times=jump)
     pairs = [
         pair
         for first in range(len(glimpses))
@@ -75,14 +76,11 @@ def pose_fault(frames: Sequence[Frame]) -> str | None:
     correlations = [correlation for _, correlation in pairs if np.isfinite(correlation)]
     correlated = not correlations or float(np.median(correlations)) > _CORRELATED
     if _stands_still(frames):
-        same = f"all {len(frames)} camera poses are the same, but the frames differ"
+        same = say("all_camera_poses_same", count=len(frames))
         return same if seen_alike < _SEEN_ALIKE_STILL else None
     if seen_alike > (_SEEN_ALIKE if correlated else _SEEN_ALIKE_DIM):
         return None
-    return (
-        "the camera poses contradict the depth images: by these poses, the cameras see through"
-        f" {1 - seen_alike:.0%} of what their neighbours saw"
-    )
+    return say("camera_poses_contradict_depth_images", share=1 - seen_alike)
 
 
 def _jump(frames: Sequence[Frame], glimpses: Sequence[_Glimpse]) -> float:

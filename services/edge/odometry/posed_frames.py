@@ -13,6 +13,7 @@ from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture
 from capture2vr.edge.errors import CaptureError, EdgeError
 from capture2vr.edge.odometry.check_poses import pose_fault
 from capture2vr.edge.odometry.tracker import track_frames
+from capture2vr.sentences.sentence import capitalised, say
 
 _TRACKING = 0.6  # share of the progress that tracking takes, where structure from motion follows
 _ASTRAY = 20.0  # times the cameras' usual distance from their middle, and a metre
@@ -33,10 +34,10 @@ def with_poses(capture: Capture, tick: Tick = no_tick) -> Capture:
     try:
         tracked = _tracked(replace(capture, up=None), tick)
     except CaptureError as error:
-        reason = f"{fault}; and they could not be computed from the images: {error.message}"
-        hint = "check that each pose belongs to its frame, and that they are camera-to-world, in metres"
+        reason = say("they_could_not_be_computed", fault=fault, why=error.message)
+        hint = say("check_each_pose_belongs")
         raise CaptureError("CAPTURE_BAD_POSE", reason, file=error.file, hints=(hint, *error.hints)) from None
-    sentence = f"{fault[0].upper()}{fault[1:]}. They were not used: the camera's way was computed from the images."
+    sentence = say("they_not_used_camera_way", fault=capitalised(fault))
     return replace(tracked, warnings=(*capture.warnings, sentence, *tracked.warnings[len(capture.warnings) :]))
 
 
@@ -52,12 +53,12 @@ def _without_strays(capture: Capture) -> Capture:
     if leaps_m.min() < limit_m / 2:  # somebody walked there
         return capture
     errors = [
-        CaptureError("CAPTURE_BAD_POSE", f"has a camera pose that is {away:.0f} m from the others", file=frame.name)
+        CaptureError("CAPTURE_BAD_POSE", say("has_camera_pose_m", distance=away), file=frame.name)
         for frame, away, stray in zip(capture.frames, away_m, astray, strict=True)
         if stray
     ]
     frames = tuple(frame for frame, stray in zip(capture.frames, astray, strict=True) if not stray)
-    return replace(capture, frames=frames, warnings=(*capture.warnings, *as_warnings("frame skipped", errors)))
+    return replace(capture, frames=frames, warnings=(*capture.warnings, *as_warnings(say("frame_skipped"), errors)))
 
 
 def _tracked(capture: Capture, tick: Tick) -> Capture:
@@ -72,10 +73,7 @@ def _tracked(capture: Capture, tick: Tick) -> Capture:
         try:
             frames, warnings = place_frames(capture.frames, lambda part: tick(_TRACKING + (1 - _TRACKING) * part))
         except EdgeError as other:
-            hints = (*error.hints, f"The pictures could not be aligned either: {other.message}.")
+            hints = (*error.hints, say("pictures_could_not_be_aligned", why=other.message))
             raise CaptureError(error.code, error.message, file=error.file, hints=hints) from None
-        lost = (
-            f"The camera's way could not be tracked by depth from {error.file} on, so it was computed from"
-            f" {len(frames)} of the {pictures} pictures, and the depth gave its scale."
-        )
+        lost = say("camera_way_could", file=error.file, count=len(frames), pictures=pictures)
         return replace(capture, frames=frames, warnings=(*capture.warnings, lost, *warnings))

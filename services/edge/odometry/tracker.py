@@ -27,6 +27,7 @@ from capture2vr.edge.odometry.pyramid import PackedLevel, PyramidLevel, pyramid
 from capture2vr.edge.odometry.relocalise import relocalise
 from capture2vr.edge.points.depth_limits import DepthLimits
 from capture2vr.edge.points.frame_faults import FrameFaults
+from capture2vr.sentences.sentence import say
 
 _MAX_SIDE = 320
 """Longer side, in pixels, at which frames are aligned: at 640 the pose is no better and takes four times as long."""
@@ -212,13 +213,12 @@ def _require_tracked(frames: Sequence[Frame], way: CameraWay) -> None:
     lost = _lost(frames, way)
     raise CaptureError(
         "CAPTURE_NO_POSES",
-        "the recording has no camera poses, and they could not be computed: tracking works for only"
-        f" {len(way.places)} of {len(frames)} frames, and fails here first",
+        say("recording_has_no_camera_poses", count=len(way.places), frames=len(frames)),
         file=frames[lost[0]].name,
         hints=(
-            "Move slowly, so that each frame shows most of what the last one showed.",
-            "Keep corners and things in view, not only a bare wall or floor.",
-            "Or send the camera poses of the scanning app too.",
+            say("move_slowly_so_each_frame"),
+            say("keep_corners_things_in_view"),
+            say("send_camera_poses_scanning_app"),
         ),
     )
 
@@ -232,7 +232,4 @@ def _lost_warning(frames: Sequence[Frame], way: CameraWay) -> tuple[str, ...]:
     lost = _lost(frames, way)
     if not lost:
         return ()
-    return (
-        f"Tracking was lost at {frames[lost[0]].name}: {len(lost)} of {len(frames)} frames were left out."
-        " Move slowly and keep corners in view.",
-    )
+    return (say("tracking_lost_frames_left", name=frames[lost[0]].name, count=len(lost), frames=len(frames)),)

@@ -31,6 +31,7 @@ from capture2vr.edge.photos.source_views import SOURCES, choose_sources
 from capture2vr.edge.photos.undistorted import UndistortedPhoto, load_undistorted_grey, load_undistorted_rgb
 from capture2vr.edge.photos.upright_photo import UprightPhoto
 from capture2vr.edge.photos.zncc import WINDOW
+from capture2vr.sentences.sentence import say
 
 LONGEST_PX = 640
 """Longer side of the pictures for stereo: 960 takes three times as long, without gain for an object that fills them."""
@@ -75,8 +76,8 @@ def depth_frames(
     if not swept:
         raise CaptureError(
             "CAPTURE_LOW_OVERLAP",
-            f"no two of the {len(pictures)} placed photos see the same part at an angle that shows its depth",
-            hints=("walk around the thing in steps of about 10 degrees, and take a photo at each step",),
+            say("no_two_placed_photos_see", count=len(pictures)),
+            hints=(say("walk_around_thing_in_steps"),),
         )
     backend_of = backend_on(device)
     maps = _sweep_views(alignment, pictures, sources, swept, backend_of, part_of(tick, 0.0, 0.9))

@@ -19,6 +19,7 @@ from capture2vr.edge.photos.crop import crop_photo
 from capture2vr.edge.photos.depth_maps import depth_frames
 from capture2vr.edge.photos.gravity import gravity_up
 from capture2vr.edge.photos.turntable import axis_up, mask_background, thing_box
+from capture2vr.sentences.sentence import in_row, say
 
 _ARMS_LENGTH = 0.6
 """Assumed metres from phone to object, for photos of unknown scale. The size of a cup or a chair is then right within a
@@ -26,19 +27,19 @@ factor of two or three: a start, not a measurement."""
 _MASKED, _SCREENED, _ALIGNED = 0.01, 0.05, 0.35
 """Shares of the progress at which masking, screening and aligning end; the plane sweep takes the rest. Measured with 20
 photos on two cores."""
-_UNITLESS = (
-    "The poses that came with the photos tell no unit, so the thing was taken to be at arm's length: tell its "
-    "longest side for its true size."
-)
+_UNITLESS = say("poses_came_with_photos_tell")
 _TURNTABLE_UP = UpSource("turntable", 0.95)  # 0.03 to 0.05 degrees on rendered turntables; real plates wobble
-_CONTRADICTED = (
-    "The poses that came with the photos contradict what the photos show, so they were not used: the cameras were "
-    "computed from the photos alone, and the size is not known. Check that each pose belongs to its photo, and that "
-    "the poses are camera-to-world"
-)
+_CONTRADICTED = say("poses_came_with_photos_contradict")
 _NAMED = 8
+_COUNTED = {
+    "blur": "count_blur",
+    "dark": "count_dark",
+    "duplicate": "count_duplicate",
+    "no_overlap": "no_overlap",
+    "unreadable": "count_unreadable",
+}
 """Most photos that a sentence names."""
-_TURNTABLE = "The thing turns in front of a still background (a turntable), so the background was masked out."
+_TURNTABLE = say("thing_turns_in_front_still")
 
 
 def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> Capture:
@@ -130,7 +131,7 @@ def _screen_photos(photos: Sequence[Photo], tick: Tick) -> tuple[tuple[Photo, ..
 def _too_few_photos(count: int, refused: Sequence[PhotoVerdict]) -> CaptureError:
     """Return CAPTURE_LOW_OVERLAP for a capture of which screening left fewer than MIN_PHOTOS photos."""
     first = refused[0]
-    reason = f"{len(refused)} of the {count} photos cannot be used: {_count_kinds(refused)}"
+    reason = say("photos_cannot_be_used", refused=len(refused), count=count, kinds=_count_kinds(refused))
     return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=first.name, hints=(first.advice,))
 
 
@@ -170,12 +171,13 @@ def _unused_warning(verdicts: Sequence[PhotoVerdict]) -> tuple[str, ...]:
     if not left:
         return ()
     named = [verdict.name for verdict in left if verdict.verdict != "no_overlap"]  # the alignment's warning names those
-    more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
-    which = f" ({', '.join(named[:_NAMED])}{more})" if named else ""
-    return (f"{len(left)} of {len(verdicts)} photos were not used: {_count_kinds(left)}{which}.",)
+    names, more = ", ".join(named[:_NAMED]), len(named) - _NAMED
+    names = say("names_and_more", names=names, count=more) if more > 0 else names
+    kinds = say("with_brackets", what=_count_kinds(left), names=names) if named else _count_kinds(left)
+    return (say("photos_not_used", left=len(left), count=len(verdicts), kinds=kinds),)
 
 
 def _count_kinds(verdicts: Sequence[PhotoVerdict]) -> str:
     """Count the kinds of verdicts, as "2 blur, 1 no overlap"."""
-    count = Counter(verdict.verdict.replace("_", " ") for verdict in verdicts)
-    return ", ".join(f"{number} {kind}" for kind, number in count.most_common())
+    count = Counter(verdict.verdict for verdict in verdicts)
+    return in_row(", ", (say(_COUNTED[kind], count=number) for kind, number in count.most_common()))

@@ -11,6 +11,7 @@ from capture2vr.edge.points.downsample import voxel_downsample, voxel_downsample
 from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.points.outliers import inliers
 from capture2vr.edge.points.voxel_grid import voxel_keys
+from capture2vr.sentences.sentence import say
 
 MAX_POINTS = 1_000_000
 """Most points of a cleaned cloud: neighbour searches in more take minutes, and the finest mesh shows no more detail."""
@@ -35,7 +36,7 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS when fewer than `MIN_POINTS` distinct points remain.
     """
     if capture.cloud is None:
-        raise ValueError("the capture has no point cloud")
+        raise ValueError(say("capture_has_no_point_cloud"))
     read = len(capture.cloud.xyz)
     finite = np.asarray(np.isfinite(capture.cloud.xyz).all(axis=1))
     xyz: Floats = np.asarray(capture.cloud.xyz, np.float64)[finite]
@@ -55,7 +56,7 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
     metres_per_unit, scale_confidence, warnings = _scale(capture, xyz)
     strays = int(len(keep) - keep.sum() + len(near) - near.sum())
     if strays > _REPORTED * len(keep):
-        warnings += (f"{strays} stray points (outliers, {strays / len(keep):.1%}) were removed.",)
+        warnings += (say("stray_points_outliers_removed", strays=strays, share=strays / len(keep)),)
     return Points(
         xyz=xyz,
         rgb=rgb,
@@ -103,7 +104,7 @@ def _scale(capture: Capture, xyz: Floats) -> tuple[float, ScaleConfidence, tuple
     longest = float(np.ptp(xyz, axis=0).max())
     if _SMALLEST_M <= longest * capture.metres_per_unit <= _LARGEST_M:
         return capture.metres_per_unit, "unknown", ()
-    warning = f"The cloud is {longest:.3g} long in an unknown unit; it was scaled to a longest side of 1 m."
+    warning = say("cloud_long_in_unknown_unit", longest=longest)
     return 1 / longest, "unknown", (warning,)
 
 
@@ -112,6 +113,6 @@ def _require_points(read: int, left: int) -> None:
     if left < MIN_POINTS:
         raise CaptureError(
             "CAPTURE_TOO_FEW_POINTS",
-            f"of {read} points only {left} distinct ones are left after cleaning; at least {MIN_POINTS} are needed",
-            hints=("Scan the thing again, more slowly and from closer.", "Export the cloud at its full resolution."),
+            say("points_only_distinct_ones_left", read=read, left=left, least=MIN_POINTS),
+            hints=(say("scan_thing_again_more_slowly"), say("export_cloud_full_resolution")),
         )

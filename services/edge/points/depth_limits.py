@@ -14,6 +14,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.capture.nouns import Frame, Intrinsics
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 _MAX_GRAZING_DEG = 78.0
 """Largest angle between ray and normal: steeper surfaces have unreliable depth, and look like flying pixels between
@@ -67,7 +68,7 @@ def load_depth(frame: Frame) -> tuple[Floats, Floats, Intrinsics]:
     depth_m = np.asarray(frame.load_depth_m(), np.float32)
     if depth_m.ndim != 2 or not depth_m.size:
         shape = "x".join(map(str, depth_m.shape))
-        reason = f"has depth of shape {shape}; a depth image has height x width"
+        reason = say("has_depth_shape_depth_image", shape=shape)
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=frame.name)
     depth_m = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0))
     height, width = depth_m.shape

@@ -10,6 +10,7 @@ from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.points.voxel_grid import sum_groups, voxel_keys
 from capture2vr.edge.srgb import to_linear, to_srgb
+from capture2vr.sentences.sentence import say
 
 _TRIES = 12
 """Most voxels that are tried, each of which takes a tenth of a second for a million points."""
@@ -62,5 +63,5 @@ def downsample_points(points: Points, most: int) -> Points:
         return points
     xyz, rgb = voxel_downsample_to(points.xyz, points.rgb, most)
     confidence = np.full(len(xyz), points.confidence.mean(), np.float32)
-    warning = f"The {len(points):,} points were downsampled evenly to the {len(xyz):,} that this preset uses."
+    warning = say("points_downsampled_evenly_to_preset", count=len(points), left=len(xyz))
     return replace(points, xyz=xyz, rgb=rgb, confidence=confidence, warnings=(*points.warnings, warning))

@@ -15,6 +15,7 @@ from capture2vr.edge.points.clean_cloud import MAX_POINTS, MIN_POINTS, cloud_poi
 from capture2vr.edge.points.lasso import DrawnView, drawn_views, hide_left_out
 from capture2vr.edge.points.nouns import Points
 from capture2vr.order.edits import CropBox, CutPlane, Edits
+from capture2vr.sentences.sentence import say
 
 _BY_PERSON = UpSource("person", 1.0)
 
@@ -33,8 +34,8 @@ def cut_away(points: Points, edits: Edits, tick: Tick = no_tick) -> Points:
     if keep.sum() < MIN_POINTS:
         raise EdgeError(
             "EDITS_NOTHING_LEFT",
-            f"the edits leave {int(keep.sum()):,} of {len(points):,} points; at least {MIN_POINTS} are needed",
-            hints=("make the crop box larger, or leave a plane or a lasso out", "check that they are of this capture"),
+            say("edits_leave_points_least_needed", left=int(keep.sum()), count=len(points), least=MIN_POINTS),
+            hints=(say("make_crop_box_larger_leave"), say("check_they_capture")),
         )
     kept = _with_lassos(points.subset(keep), edits)
     if points.whole is None:
@@ -80,10 +81,7 @@ def _with_lassos(points: Points, edits: Edits) -> Points:
         return points
     frames, lassos = points.drawn_in, edits.lassos
     used = {frame.shown.name for frame in frames if frame.shown}
-    unused = tuple(
-        f"The lasso in {name} had no effect, because that photo was not used: draw it in another one"
-        for name in sorted(edits.photos - used)
-    )
+    unused = tuple(say("lasso_in_had_no_effect", name=name) for name in sorted(edits.photos - used))
     return replace(
         points,
         texture_views=hide_left_out(points.texture_views, frames, lassos),

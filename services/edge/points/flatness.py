@@ -6,6 +6,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.points.plane import largest_plane
+from capture2vr.sentences.sentence import say
 
 _REACH = 0.05
 """Distance from the plane, over the standard deviation of the points along its shorter side: photos of a screen have 92
@@ -20,7 +21,4 @@ def flatness_warning(xyz: Floats) -> tuple[str, ...]:
     plane = largest_plane(xyz, _REACH * side)
     if plane is None or np.mean(np.abs(plane.height(xyz)) <= _REACH * side) < _SHARE:
         return ()
-    return (
-        "Nearly all that the photos show lies on one plane, as on a screen, a print or a wall: what is pictured there "
-        "has no depth. If you meant a thing, photograph the thing itself, from all sides.",
-    )
+    return (say("nearly_all_photos_show_lies"),)

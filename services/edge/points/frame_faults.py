@@ -9,6 +9,7 @@ from capture2vr.edge.capture.frame_records import MAX_BAD_SHARE, as_warnings
 from capture2vr.edge.capture.nouns import Frame, Intrinsics
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.points.depth_limits import DepthLimits, DepthView, load_depth, read_view
+from capture2vr.sentences.sentence import say
 
 _NAMED = 3  # frames that a sentence names
 
@@ -60,12 +61,9 @@ class FrameFaults:
         """Sentences for the report that name the frames that were not used."""
         more = ", ..." if len(self.empty) > _NAMED else ""
         names = ", ".join(self.empty[:_NAMED]) + more
-        empty = (
-            f"{len(self.empty)} of {frames} depth images are empty and were not used: {names}. Keep the thing within "
-            "0.3 to 5 m"
-        )
+        empty = say("depth_images_empty_not_used", empty=len(self.empty), frames=frames, names=names)
         return (
-            *as_warnings("frame skipped", self.undecodable),
-            *as_warnings("colours skipped", self.colourless),
+            *as_warnings(say("frame_skipped"), self.undecodable),
+            *as_warnings(say("colours_skipped"), self.colourless),
             *((empty,) if self.empty else ()),
         )

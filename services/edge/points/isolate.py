@@ -15,6 +15,7 @@ from capture2vr.edge.points.outliers import label_components
 from capture2vr.edge.points.plane import Plane, largest_plane
 from capture2vr.edge.points.removed_parts import largest_doubt
 from capture2vr.edge.points.upright import level_with
+from capture2vr.sentences.sentence import in_row, say
 
 _PLANE_REACH = 0.012
 """Distance from a plane within which points belong to it, as a share of the points' extent."""
@@ -55,7 +56,7 @@ _MIN_POINTS = 100
 """An object has at least this many points, and this share of all."""
 _SAMPLED = 100_000
 """Points kept of what a cut was made from: a picture of 360 pixels shows no more."""
-_ASK = 'If it belongs to the thing, reconstruct again with the cut "scene", which keeps everything.'
+_ASK = say("if_belongs_to_thing_reconstruct")
 
 
 def isolate_object(
@@ -89,7 +90,7 @@ def isolate_object(
     removed = plane
     if plane is None:
         thing = _object_mask(xyz, everything, middle)
-        warning = "" if turntable else "No table or floor was found below the thing; only separate parts were removed."
+        warning = "" if turntable else say("no_table_floor_found_below")
     else:
         half = _half_slab(plane)
         ground = Ground.about(plane, xyz[everything], half, _BEND_SLABS * half)
@@ -97,26 +98,26 @@ def isolate_object(
         thing, warning = _object_mask(xyz, above, middle), ""
         if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
             thing, removed = _object_mask(xyz, everything, middle), None
-            warning = "The thing is too flat to separate it from the plane that it lies on, so that plane was kept."
+            warning = say("thing_too_flat_to_separate")
     tick(1.0)
     if thing.sum() < _MIN_POINTS:
         raise CaptureError(
             "CAPTURE_NOTHING_LEFT",
-            f"no connected part of the {len(xyz)} points has at least {_MIN_POINTS} points",
-            hints=("Reconstruct without isolating the thing.", "Keep the thing in the middle of the picture."),
+            say("no_connected_part_points", count=len(xyz), least=_MIN_POINTS),
+            hints=(say("reconstruct_without_isolating_thing"), say("keep_thing_in_middle_picture")),
         )
     warnings = (*points.warnings, warning) if warning else points.warnings
     up, up_source = points.up, points.up_source
     if plane is not None and up is not None:
         up, up_source = level_with(plane.normal, up, up_source)
     doubt, share = _doubt(xyz, thing, everything, removed)
-    warnings = (*warnings, f"{doubt} {_ASK}") if doubt else warnings
+    warnings = (*warnings, in_row(" ", (doubt, _ASK))) if doubt else warnings
     return replace(
         points.subset(thing),
         warnings=warnings,
         up=up,
         up_source=up_source,
-        cut=CutReport("object", "it was cut out of its surroundings", doubt, round(share, 3)),
+        cut=CutReport("object", say("cut_out_surroundings"), doubt, round(share, 3)),
         uncut=_sample(points),
     )
 

@@ -19,6 +19,7 @@ from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.points.frame_faults import FrameFaults
 from capture2vr.edge.points.nouns import TextureView
 from capture2vr.order.photo_lasso import PhotoLasso
+from capture2vr.sentences.sentence import say
 
 _TOLERANCE = 0.03
 """Relative depth behind the surface that a photo shows up to which a point is still that surface: fused depth errs by
@@ -39,15 +40,20 @@ def require_photos(capture: Capture, lassos: Sequence[PhotoLasso]) -> None:
     known = {*names, *(verdict.name for verdict in capture.verdicts)}
     wrong = next((number for number, lasso in enumerate(lassos) if lasso.photo not in known), None)
     if lassos and capture.kind == "image":
-        hint = "leave the lassos out, and mark the thing by a rectangle (--box, `box` of the job)"
-        raise EdgeError("EDITS_UNKNOWN_PHOTO", "edits: lassos: this capture is a single photo", hints=(hint,))
+        hint = say("leave_lassos_out_mark_thing")
+        raise EdgeError("EDITS_UNKNOWN_PHOTO", say("edits_lassos_capture_single_photo"), hints=(hint,))
     if wrong is not None:
         some = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
         raise EdgeError(
             "EDITS_UNKNOWN_PHOTO",
-            f"edits: lassos.{wrong}.photo: there is no photo '{lassos[wrong].photo}' in this capture "
-            f"({capture.format}), which has {some or 'no photos'}",
-            hints=("name one of them, as the capture does" if names else "leave the lassos out",),
+            say(
+                "edits_lassos_photo_no_photo",
+                number=wrong,
+                photo=lassos[wrong].photo,
+                format=capture.format,
+                names=some or "no photos",
+            ),
+            hints=(say("name_one_them_as_capture") if names else say("leave_lassos"),),
         )
 
 

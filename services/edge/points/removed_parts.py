@@ -18,6 +18,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.points.outliers import label_components
 from capture2vr.edge.points.plane import Plane
+from capture2vr.sentences.sentence import say
 
 _LARGE_BASE, _LARGE_APART = 0.1, 0.4
 """Least points of a removed part, over the points kept, that a person is asked about: of one under the object,
@@ -27,9 +28,9 @@ _NEAR_SUPPORT = 1.25
 table or a floor, of which photos of a statue showed 1.4 and of fruit 2.1 times the thing."""
 _UNDER = 3.0
 """Depth below the plane, over the half slab, from which on points are not its noise."""
-_BESIDE = "A separate part beside the thing"
-_BELOW = "A part below the plane on which the thing stands"
-_SUPPORT = "What the thing stands on, which ends where it ends,"
+_BESIDE = say("separate_part_beside_thing")
+_BELOW = say("part_below_plane_on_thing")
+_SUPPORT = say("what_thing_stands_on_ends")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ def largest_doubt(
     if not large:
         return "", 0.0
     worst = max(large, key=lambda part: part.share)
-    return f"{worst.what} was removed, which has {worst.share:.0%} as many points as what was kept.", worst.share
+    return say("removed_has_as_many_points", what=worst.what, share=worst.share), worst.share
 
 
 def _apart(

@@ -7,6 +7,7 @@ import numpy as np
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.points.nouns import UnitFrame
+from capture2vr.sentences.sentence import say
 
 
 def unit_frame(xyz: Floats) -> UnitFrame:
@@ -17,9 +18,9 @@ def unit_frame(xyz: Floats) -> UnitFrame:
     """
     xyz = np.asarray(xyz, np.float64)
     if not len(xyz):
-        raise CaptureError("CAPTURE_EMPTY", "there are no points to reconstruct")
+        raise CaptureError("CAPTURE_EMPTY", say("no_points_to_reconstruct"))
     low, high = xyz.min(axis=0), xyz.max(axis=0)
     size = float((high - low).max())
     if not (np.isfinite(size) and size > 0):
-        raise CaptureError("CAPTURE_DEGENERATE", f"all {len(xyz)} points are at the same position or not finite")
+        raise CaptureError("CAPTURE_DEGENERATE", say("all_points_same_position", count=len(xyz)))
     return UnitFrame(centre=low + (high - low) / 2, size=size)

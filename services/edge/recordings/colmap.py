@@ -26,6 +26,7 @@ from capture2vr.edge.capture.posed_photos import GivenCamera, posed_capture, unl
 from capture2vr.edge.capture.poses import pose_from_quaternion
 from capture2vr.edge.clouds.tables import is_number
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MAX_BYTES = 2**30  # of one file of the model; a thousand photos with ten thousand observations each are 240 MB
 _NAME_BYTES = 1024  # most bytes of a photo's name in binary files
@@ -77,17 +78,17 @@ def read(folder: Folder) -> Capture:
     cameras = _cameras(folder, cameras_file)
     images = sorted(_images(folder, images_file), key=lambda image: number_order(image.name))
     if not images:
-        raise CaptureError("CAPTURE_EMPTY", "is a COLMAP model that lists no photos", file=images_file)
+        raise CaptureError("CAPTURE_EMPTY", say("colmap_model_lists_no_photos"), file=images_file)
     places = _photo_files(folder, images, images_file)
     missing = [image.name for image in images if image.name not in places]
     if not places:
-        reason = f"lists {len(missing)} photos, but the capture has none of them; the first is {missing[0]}"
-        hint = "send the photos together with the model"
+        reason = say("lists_photos_but_capture", count=len(missing), name=missing[0])
+        hint = say("send_photos_together_with_model")
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=images_file, hints=(hint,))
     present = [image for image in images if image.name in places]
     tries = [partial(_photo, folder, places[image.name], image, cameras, images_file) for image in present]
     unlisted = unlisted_warning(folder, set(places.values()), images_file)
-    return posed_capture("colmap", tries, warnings=(*missing_warning(missing, "photos"), *unlisted))
+    return posed_capture("colmap", tries, warnings=(*missing_warning(missing, say("word_photos")), *unlisted))
 
 
 def _find_model(folder: Folder) -> tuple[str, str] | None:
@@ -125,7 +126,7 @@ def _photo(folder: Folder, place: str, image: _Image, cameras: dict[int, _Colmap
     """Read the photo at `place` and attach its intrinsics and camera-to-world pose."""
     camera = cameras.get(image.camera)
     if camera is None:
-        raise unreadable(file, f"refers to camera {image.camera} for {place}, but the model has no such camera")
+        raise unreadable(file, say("refers_to_camera_but_model", camera=image.camera, place=place))
     world_to_camera = pose_from_quaternion(image.pose[4:], image.pose[[1, 2, 3, 0]])
     pose = np.eye(4)
     pose[:3, :3] = world_to_camera[:3, :3].T
@@ -137,17 +138,25 @@ def _photo(folder: Folder, place: str, image: _Image, cameras: dict[int, _Colmap
 def _camera(model: str, width: int, height: int, parameters: Floats, file: str) -> _ColmapCamera:
     """Make a camera from COLMAP's model and parameters. Raises CAPTURE_BAD_INTRINSICS and CAPTURE_UNREADABLE."""
     if model not in _PARAMETER_INDICES:
-        what = f"has the unsupported camera model {model[:40]!r}; supported are {', '.join(_PARAMETER_INDICES)}"
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=file, hints=("undistort the images with COLMAP first",))
+        what = say(
+            "has_unsupported_camera_model_supported", model=repr(model[:40]), names=", ".join(_PARAMETER_INDICES)
+        )
+        raise CaptureError(
+            "CAPTURE_BAD_INTRINSICS", what, file=file, hints=(say("undistort_images_with_colmap_first"),)
+        )
     places = _PARAMETER_INDICES[model]
     if len(parameters) != max(places) + 1:
-        raise unreadable(file, f"has a {model} camera with {len(parameters)} parameters instead of {max(places) + 1}")
+        raise unreadable(
+            file, say("has_camera_with_parameters_instead", model=model, count=len(parameters), wanted=max(places) + 1)
+        )
     fx, fy, cx, cy, *lens = (float(parameters[at]) for at in places)
     if not all(math.isfinite(value) for value in lens):
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has lens distortion coefficients that are not finite", file=file)
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", say("has_lens_distortion_coefficients"), file=file)
     if any(lens[5:]):
-        what = f"has a {model} camera whose k4, k5 or k6 is not 0; only k1, k2, p1, p2 and k3 are supported"
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=file, hints=("undistort the images with COLMAP first",))
+        what = say("has_camera_whose_k4_k5", model=model)
+        raise CaptureError(
+            "CAPTURE_BAD_INTRINSICS", what, file=file, hints=(say("undistort_images_with_colmap_first"),)
+        )
     distortion = (*lens, *[0.0] * 5)[:5]
     return _ColmapCamera(checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, width, height), file), distortion)
 
@@ -222,7 +231,7 @@ def _image_line(line: str, file: str) -> _Image:
 def _split_fields(line: str, least: int, splits: int | None, file: str) -> list[str]:
     words = line.split(None, -1 if splits is None else splits)
     if len(words) < least:
-        raise unreadable(file, f"has a line of {len(words)} fields where at least {least} are expected: {line[:60]!r}")
+        raise unreadable(file, say("has_line_fields_where_least", count=len(words), least=least, line=repr(line[:60])))
     return words
 
 
@@ -232,7 +241,7 @@ def _is_whole(word: str) -> bool:
 
 def _whole_number(word: str, file: str) -> int:
     if not _is_whole(word):
-        raise unreadable(file, f"has {word[:40]!r} where a whole number is expected")
+        raise unreadable(file, say("has_where_whole_number_expected", word=repr(word[:40])))
     return int(word)
 
 
@@ -244,7 +253,7 @@ def _lines(folder: Folder, file: str) -> list[str]:
 
 def _read_model_file(folder: Folder, file: str) -> bytes:
     if folder.path(file).stat().st_size > MAX_BYTES:
-        reason = f"is larger than {MAX_BYTES // 2**20} MiB, the most that is read of a COLMAP file"
+        reason = say("larger_than_mib_most_read_colmap", size=MAX_BYTES // 2**20)
         raise CaptureError("CAPTURE_TOO_LARGE", reason, file=file)
     return read_bytes(folder.path(file), file)
 
@@ -264,19 +273,19 @@ class _BinaryReader:
 
     def skip(self, count: int) -> None:
         if count > len(self.data) - self.at:
-            raise truncated(self.file, "is cut off in the middle of an entry")
+            raise truncated(self.file, say("cut_off_in_middle_entry"))
         self.at += count
 
     def count(self, smallest: int) -> int:
         """Read the number of entries that follow, of at least `smallest` bytes each; raise if the file is too short."""
         (count,) = self.take("<Q")
         if count * smallest > len(self.data) - self.at:
-            raise truncated(self.file, f"is cut off: it announces {count:,} entries, but is too short for them")
+            raise truncated(self.file, say("cut_off_announces_entries", count=count))
         return int(count)
 
     def name(self) -> str:
         end = self.data.find(b"\0", self.at, self.at + _NAME_BYTES)
         if end < 0:
-            raise unreadable(self.file, f"has a photo's name that does not end within {_NAME_BYTES} bytes")
+            raise unreadable(self.file, say("has_photo_name_does", bytes=_NAME_BYTES))
         start, self.at = self.at, end + 1
         return self.data[start:end].decode("utf-8", errors="replace")

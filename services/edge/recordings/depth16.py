@@ -26,6 +26,7 @@ from capture2vr.edge.capture.frame_records import FrameRecord, missing_warning, 
 from capture2vr.edge.capture.images import image_size, read_bytes
 from capture2vr.edge.capture.nouns import Capture, Intrinsics
 from capture2vr.edge.capture.poses import pose_from_quaternion
+from capture2vr.sentences.sentence import say
 
 POSES = "poses.csv"
 DEFAULT_FOCAL = 170 / 240  # of the width: the app's own value, for recordings without a projection
@@ -50,12 +51,16 @@ def read(folder: Folder) -> Capture:
         raise no_poses(POSES, f"a row for {depths[0]}")
     tracked = [(name, row) for name, row in posed if not _is_untracked(row)] or posed
     lost = len(posed) - len(tracked)
-    warnings = [*missing_warning([name for name in depths if _frame_number(name) not in rows], "poses of depth images")]
-    warnings += [f"{lost} frames recorded before tracking began were skipped"] if lost else []
+    warnings = [
+        *missing_warning(
+            [name for name in depths if _frame_number(name) not in rows], say("word_poses_of_depth_images")
+        )
+    ]
+    warnings += [say("frames_recorded_before_tracking_began", lost=lost)] if lost else []
     aligned = not _is_untracked(tracked[0][1])
     if not aligned:
         tracked = tracked[:1]  # before tracking all poses are the same, so only one frame can be used
-        warnings.append("tracking never began; only one frame is used, and its up direction is the camera's")
+        warnings.append(say("tracking_never_began"))
     records = [_record(folder, name, row) for name, row in tracked]
     up = _UP_Y if aligned else None
     return rgbd_capture("depth16", records, axes="opengl", up=up, file=POSES, warnings=warnings)
@@ -135,12 +140,12 @@ class Depth16:
     def size(self) -> tuple[int, int]:
         words = self.path.stat().st_size // 2
         if words == 0:
-            raise truncated(self.file, "has no depth values")
+            raise truncated(self.file, say("has_no_depth_values"))
         for across, down in (*((self.colour_size,) if self.colour_size else ()), *_SHAPES):
             width = round(math.sqrt(words * across / down))
             if words % width == 0 and abs(width * down - words // width * across) <= max(across, down):
                 return width, words // width
-        what = f"has {words:,} depth values, which fit no image of a known aspect ratio (4:3, 16:9, 1:1, 3:2)"
+        what = say("has_depth_values_fit", words=words)
         raise truncated(self.file, what)
 
     def load(self) -> Floats:

@@ -19,6 +19,7 @@ from capture2vr.edge.capture.frame_records import check_mostly_paired, checked_i
 from capture2vr.edge.capture.nouns import Capture, Photo
 from capture2vr.edge.capture.photos import read_photo
 from capture2vr.edge.capture.posed_photos import GivenCamera, posed_capture, with_camera
+from capture2vr.sentences.sentence import say
 
 _CALIBRATION = "calib.txt"
 _CAMERAS = (2, 3, 0, 1)  # the coloured ones first
@@ -39,7 +40,9 @@ def read(folder: Folder) -> Capture:
     names = folder.directly_in(f"image_{camera}", *_IMAGES)
     rows = data_lines(read_text(folder.path(file), file))
     both = min(len(names), len(rows))
-    warnings = check_mostly_paired(both, len(names), len(rows), file=file, what="poses", of="pictures")
+    warnings = check_mostly_paired(
+        both, len(names), len(rows), file=file, what=say("word_poses"), of=say("word_pictures")
+    )
     matrix, offset = _projection(folder, camera)
     tries: list[Callable[[], Photo]] = [
         partial(_photo, folder, name, numbers(row.split(), 12, file=file, what="pose").reshape(3, 4), matrix, offset)

@@ -29,6 +29,7 @@ from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
 from capture2vr.edge.capture.photos import read_photo
 from capture2vr.edge.capture.posed_photos import GivenCamera, posed_capture, unlisted_warning, with_camera
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 FILE = "transforms.json"
 METRES_PER_STEP = 1e-3  # where the file has none of _DEPTH_UNITS: millimetres, as nerfstudio has it
@@ -53,21 +54,21 @@ def read(folder: Folder) -> Capture:
     tree = read_json(folder.path(FILE), FILE)
     frames = tree.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise unreadable(FILE, "has no list of objects under the key 'frames'")
+        raise unreadable(FILE, say("has_no_list_objects_under"))
     if not frames:
-        raise CaptureError("CAPTURE_EMPTY", "has an empty list of frames", file=FILE)
+        raise CaptureError("CAPTURE_EMPTY", say("has_empty_list_frames"), file=FILE)
     named = [(frame, _depth_name(folder, frame)) for frame in frames]
     if all(name is None for _, name in named):
         return _photos(folder, tree, frames)
     missing = [name for _, name in named if name is not None and not folder.has(name)]
     present = [(frame, name) for frame, name in named if name is not None and folder.has(name)]
     if not present:
-        reason = f"lists {len(missing)} depth images, but the capture has none of them; the first is {missing[0]}"
-        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the folder of depth images too",))
+        reason = say("lists_depth_images_but_capture", count=len(missing), name=missing[0])
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_folder_depth_images"),))
     if _is_preview(folder, present[0][1]) and (capture := _photos_instead(folder, tree, frames, present[0][1])):
         return capture
     records = [_record(folder, tree | frame, name) for frame, name in present]
-    warnings = missing_warning(missing, "depth images")
+    warnings = missing_warning(missing, say("word_depth_images"))
     return rgbd_capture("nerfstudio", records, axes="opengl", up=None, file=FILE, warnings=warnings)
 
 
@@ -77,12 +78,12 @@ def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any
     missing = [name for _, name in named if not folder.has(name)]
     present = [(frame, name) for frame, name in named if folder.has(name)]
     if not present:
-        reason = f"lists {len(missing)} images, but the capture has none of them; the first is {missing[0]}"
-        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the images too",))
+        reason = say("lists_images_but_capture", count=len(missing), name=missing[0])
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_images"),))
     tries = [partial(_photo, folder, frame, name) for frame, name in present]
     depths = [depth for frame, _ in present if (depth := _depth_name(folder, frame)) is not None]
     unlisted = unlisted_warning(folder, {*depths, *(name for _, name in present)}, FILE)
-    return posed_capture("nerfstudio", tries, warnings=(*missing_warning(missing, "images"), *unlisted))
+    return posed_capture("nerfstudio", tries, warnings=(*missing_warning(missing, say("word_images")), *unlisted))
 
 
 def _image_name(folder: Folder, frame: Mapping[str, Any]) -> str:
@@ -118,10 +119,7 @@ def _photos_instead(
     if not any(folder.has(_image_name(folder, frame)) for frame in pictured):
         return None
     capture = _photos(folder, tree, pictured)
-    warning = (
-        f"{depth}: has 8 bits per pixel, so the depth images are previews without a unit; they were ignored, and the "
-        "images used as photos. Measured depth has 16 or 32 bits: export that, if the app can"
-    )
+    warning = say("depth_of_8_bits_ignored", file=depth)
     return replace(capture, warnings=(warning, *capture.warnings))
 
 
@@ -148,7 +146,7 @@ def _metres_per_step(frame: Mapping[str, Any]) -> float:
     key = next((key for key in _DEPTH_UNITS if key in frame), None)
     scale = METRES_PER_STEP if key is None else number(frame, key, file=FILE)
     if not 0 < scale < math.inf:
-        raise unreadable(FILE, f"has {key} = {scale}, which is not a positive, finite number")
+        raise unreadable(FILE, say("has_not_positive_finite_number", key=key, value=scale))
     return scale
 
 
@@ -171,7 +169,7 @@ def _focal(frame: Mapping[str, Any], axis: str, side: float) -> float:
     if f"fl_{axis}" in frame:
         return number(frame, f"fl_{axis}", file=FILE)
     if f"camera_angle_{axis}" not in frame:
-        what = f"has neither fl_{axis} nor camera_angle_{axis}, so the focal length is unknown"
+        what = say("has_neither_fl_nor_camera", x=axis, y=axis)
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE)
     half = number(frame, f"camera_angle_{axis}", file=FILE) / 2
     return side / (2 * math.tan(half)) if 0 < half < math.pi / 2 else math.nan
@@ -203,11 +201,11 @@ class DistortedCamera:
 def _lens(frame: Mapping[str, Any], camera: Intrinsics) -> DistortedCamera | None:
     """Return the camera with its distortion, or None without any. Raises CAPTURE_BAD_INTRINSICS."""
     if str(frame.get("camera_model", "")).upper() not in _MODELS or frame.get("is_fisheye"):
-        what = f"has the camera model {frame.get('camera_model', 'fisheye')!r}, which is not supported"
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE, hints=("undistort the images first",))
+        what = say("has_camera_model_not_supported", model=repr(frame.get("camera_model", "fisheye")))
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE, hints=(say("undistort_images_first"),))
     coefficients = tuple(number(frame, key, file=FILE) if key in frame else 0.0 for key in _DISTORTION)
     if not all(math.isfinite(value) for value in coefficients):
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has lens distortion coefficients that are not finite", file=FILE)
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", say("has_lens_distortion_coefficients"), file=FILE)
     return DistortedCamera(camera, coefficients) if max(map(abs, coefficients)) > _NEGLIGIBLE_DISTORTION else None
 
 

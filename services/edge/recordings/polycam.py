@@ -25,6 +25,7 @@ from capture2vr.edge.capture.frame_records import (
 )
 from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
 from capture2vr.edge.capture.posed_photos import posed_capture, with_app_camera
+from capture2vr.sentences.sentence import say
 
 METRES_PER_STEP = 1e-3
 _POSE = [f"t_{row}{column}" for row in range(3) for column in range(4)]
@@ -48,7 +49,7 @@ def read(folder: Folder) -> Capture:
     if not cameras:
         raise no_poses("keyframes/depth", "keyframes/corrected_cameras")
     both = [stem for stem in depths if stem in cameras]
-    warnings = check_mostly_paired(len(both), len(depths), len(cameras), file="keyframes", what="cameras")
+    warnings = check_mostly_paired(len(both), len(depths), len(cameras), file="keyframes", what=say("word_cameras"))
     confidences = _by_stem(folder, "confidence")
     records = [_record(folder, depths[stem], cameras[stem], images.get(stem), confidences.get(stem)) for stem in both]
     return rgbd_capture("polycam", records, axes="opengl", up=_UP_Y, file="keyframes/depth", warnings=warnings)
@@ -59,11 +60,13 @@ def _photos(folder: Folder, images: dict[str, str], cameras: dict[str, str]) -> 
     if not cameras:
         images = _by_stem(folder, "corrected_images") or images
     if not images:
-        raise unreadable("keyframes", "has neither depth nor images", "send the whole raw export")
+        raise unreadable("keyframes", say("has_neither_depth_nor_images"), say("send_whole_raw_export"))
     if not cameras:
         return photos.read(replace(folder, names=tuple(images.values())))
     both = [stem for stem in images if stem in cameras]
-    warnings = check_mostly_paired(len(both), len(images), len(cameras), file="keyframes", what="cameras", of="images")
+    warnings = check_mostly_paired(
+        len(both), len(images), len(cameras), file="keyframes", what=say("word_cameras"), of=say("word_images")
+    )
     tries = [partial(_photo, folder, images[stem], cameras[stem]) for stem in both]
     return posed_capture("polycam", tries, scale="metric", up=_UP_Y, warnings=warnings)
 

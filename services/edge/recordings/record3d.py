@@ -32,6 +32,7 @@ from capture2vr.edge.capture.picture import PhotoPixels
 from capture2vr.edge.capture.posed_photos import posed_capture, with_app_camera
 from capture2vr.edge.capture.poses import checked_pose, pose_from_quaternion
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 _METADATA = "metadata"
 _MAX_ENTRY_BYTES = 64 * 2**20  # of one file in the zip, unpacked; a phone's picture or depth image has a few MiB
@@ -72,7 +73,7 @@ class _Archive:
         with translate_errors(name, "entry of the .r3d"), zipfile.ZipFile(self.path) as archive:
             size = archive.getinfo(name).file_size
             if size > _MAX_ENTRY_BYTES:
-                reason = f"unpacks to {size:,} bytes; at most {_MAX_ENTRY_BYTES:,} are read"
+                reason = say("unpacks_to_bytes_most_read", found=size, most=_MAX_ENTRY_BYTES)
                 raise CaptureError("CAPTURE_TOO_LARGE", reason, file=name)
             with archive.open(name) as entry:
                 return entry.read(_MAX_ENTRY_BYTES)
@@ -105,7 +106,7 @@ def read_archive(path: Path, file: str) -> Capture:
     with translate_errors(file, ".r3d"), zipfile.ZipFile(path) as archive:
         names = tuple(archive.namelist())
     if len(names) > MAX_FILES:
-        raise CaptureError("CAPTURE_TOO_LARGE", f"has {len(names):,} files; at most {MAX_FILES:,} are read", file=file)
+        raise CaptureError("CAPTURE_TOO_LARGE", say("has_files_most_read", count=len(names), most=MAX_FILES), file=file)
     return _read(_Archive(path, names))
 
 
@@ -114,9 +115,9 @@ def _read(files: _RecordingFiles) -> Capture:
     meta = parse_json(files.read(_METADATA).decode("utf-8", "replace"), _METADATA)
     poses = _poses(meta)
     depths, pictures = _numbered(files, ".depth"), _numbered(files, ".jpg")
-    numbered, of = (depths, "depth images") if depths else (pictures, "pictures")
+    numbered, of = (depths, say("word_depth_images")) if depths else (pictures, say("word_pictures"))
     posed = sorted(index for index in numbered if index < len(poses))
-    warnings = check_mostly_paired(len(posed), len(numbered), len(poses), file=_METADATA, what="poses", of=of)
+    warnings = check_mostly_paired(len(posed), len(numbered), len(poses), file=_METADATA, what=say("word_poses"), of=of)
     cameras = _cameras(meta, len(poses))
     up = _UP_Y if "initPose" in meta else None
     if not depths:
@@ -139,7 +140,7 @@ def _photo(files: _RecordingFiles, name: str, camera: Intrinsics, pose: Floats) 
     """Make a posed photo from a frame's JPEG. Raises IMAGE_UNREADABLE."""
     size = header_size(files.read(name))
     if size is None:
-        raise broken_image(name, "is not a JPEG image")
+        raise broken_image(name, say("not_jpeg_image"))
     pixels = PhotoPixels(partial(files.read, name), name, "opencv", check_pixels(size, name), 0)
     return with_app_camera(Photo(name, size, "", pixels), camera, pose, "opengl")
 
@@ -163,8 +164,8 @@ def _poses(meta: Mapping[str, Any]) -> list[Floats]:
     """Return the camera-to-world poses (4,4) in OpenGL axes; in ARKit's world when `initPose` is given."""
     listed = meta.get("poses")
     if not isinstance(listed, list) or not listed:
-        hint = "export as .r3d, not as video"
-        raise CaptureError("CAPTURE_NO_POSES", "has no camera poses", file=_METADATA, hints=(hint,))
+        hint = say("export_as_r3d")
+        raise CaptureError("CAPTURE_NO_POSES", say("has_no_camera_poses"), file=_METADATA, hints=(hint,))
     start: Floats = np.eye(4)
     if "initPose" in meta:
         start = checked_pose(_pose(meta["initPose"], "initPose"), axes="opencv", file=_METADATA)
@@ -194,7 +195,7 @@ def _image_side(meta: Mapping[str, Any], key: str) -> int:
     """Return an image side in pixels. Raises CAPTURE_UNREADABLE."""
     value = number(meta, key, file=_METADATA)
     if not 1 <= value <= 1e6:
-        raise unreadable(_METADATA, f"has {key} = {value}, which is not the size of an image in pixels")
+        raise unreadable(_METADATA, say("has_not_size_image", key=key, value=value))
     return int(value)
 
 
@@ -203,13 +204,13 @@ def _lzfse(data: bytes, size: int, file: str) -> bytes:
     import lzfse
 
     if len(data) > 2 * size + 4096:  # compression never doubles the size: such data are broken or hostile
-        raise broken_image(file, f"has {len(data):,} bytes, too many for an image of {size:,} bytes")
+        raise broken_image(file, say("has_bytes_too_many_image", count=len(data), size=size))
     try:
         plain: bytes = data if len(data) == size else lzfse.decompress(data)
     except (lzfse.error, MemoryError) as error:
-        raise broken_image(file, f"cannot be decompressed as LZFSE ({error})") from None
+        raise broken_image(file, say("cannot_be_decompressed_as_lzfse", why=error)) from None
     if len(plain) != size:
-        raise broken_image(file, f"unpacks to {len(plain):,} bytes; {size:,} are expected for its size in pixels")
+        raise broken_image(file, say("unpacks_to_bytes_expected_size", found=len(plain), size=size))
     return plain
 
 

@@ -22,6 +22,7 @@ from capture2vr.edge.capture.frame_records import (
 from capture2vr.edge.capture.images import image_size
 from capture2vr.edge.capture.nouns import Capture, Intrinsics
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 CAMERA = Intrinsics(600.0, 600.0, 599.5, 339.5, 1200, 680)  # with which all scenes were rendered
 STEPS_PER_METRE = 6553.5
@@ -39,7 +40,7 @@ def read(folder: Folder) -> Capture:
     poses = _read_trajectory(folder)
     check_counts_match(len(depths), len(poses), file=_TRAJECTORY, what=f"poses in {_TRAJECTORY}")
     if colours:
-        check_counts_match(len(depths), len(colours), file="results", what="colour images")
+        check_counts_match(len(depths), len(colours), file="results", what=say("word_colour_images"))
     camera, steps_per_metre = _camera(folder, depths[0])
     pairs: list[str | None] = [*colours] if colours else [None] * len(depths)
     records = [
@@ -66,14 +67,14 @@ def _camera(folder: Folder, depth: str) -> tuple[Intrinsics, float]:
     if folder.has(_CAMERA):
         record = read_json(folder.path(_CAMERA), _CAMERA).get("camera")
         if not isinstance(record, dict):
-            raise unreadable(_CAMERA, 'has no object "camera"')
+            raise unreadable(_CAMERA, say("has_no_object_camera"))
         focal_and_middle = np.array([number(record, key, file=_CAMERA) for key in ("fx", "fy", "cx", "cy")])
         width, height, steps = (number(record, key, file=_CAMERA) for key in ("w", "h", "scale"))
         if not 0 < steps < np.inf:
-            raise unreadable(_CAMERA, f"has scale = {steps}, which is not a positive, finite number")
+            raise unreadable(_CAMERA, say("has_scale_not_positive_finite", value=steps))
         return pinhole(focal_and_middle, image_dimensions(width, height, _CAMERA)), steps
     size = image_size(folder.path(depth), depth)
     if size != (CAMERA.width, CAMERA.height):
-        what = f"is {size[0]} x {size[1]} and not of {CAMERA.width} x {CAMERA.height}, and there is no {_CAMERA}"
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=depth, hints=(f"add the data set's {_CAMERA}",))
+        what = say("x_not_x", width=size[0], height=size[1], w=CAMERA.width, h=CAMERA.height, file=_CAMERA)
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=depth, hints=(say("add_data_set", file=_CAMERA),))
     return CAMERA, STEPS_PER_METRE

@@ -24,6 +24,7 @@ from capture2vr.edge.capture.frame_records import (
 from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
 from capture2vr.edge.capture.photos import read_photo
 from capture2vr.edge.capture.posed_photos import posed_capture, with_app_camera
+from capture2vr.sentences.sentence import say
 
 METRES_PER_STEP = 1e-3
 _SIZE = (1920, 1440)  # width and height in pixels that the intrinsics are for
@@ -45,7 +46,9 @@ def read(folder: Folder) -> Capture:
         raise no_poses(next(iter(depths.values())), "frame_N.json")
     both = [index for index in depths if index in frames]
     # The app writes a JSON for every frame and depth for some, so only depth without a JSON is missing something.
-    warnings = check_mostly_paired(len(both), len(depths), len(depths), file=next(iter(frames.values())), what="frames")
+    warnings = check_mostly_paired(
+        len(both), len(depths), len(depths), file=next(iter(frames.values())), what=say("word_frames")
+    )
     confidences = _numbered(folder, r"conf_(\d+)\.png")
     records = [
         _record(folder, depths[index], frames[index], images.get(index), confidences.get(index)) for index in both
@@ -57,7 +60,9 @@ def _photos(folder: Folder, images: dict[str, str], frames: dict[str, str]) -> C
     """Read the key frames' images with their poses, as photos."""
     both = [index for index in images if index in frames]
     file = next(iter(frames.values()))
-    warnings = check_mostly_paired(len(both), len(images), len(images), file=file, what="frames", of="images")
+    warnings = check_mostly_paired(
+        len(both), len(images), len(images), file=file, what=say("word_frames"), of=say("word_images")
+    )
     tries = [partial(_photo, folder, images[index], frames[index]) for index in both]
     return posed_capture("3dscannerapp", tries, scale="metric", up=_UP_Y, warnings=warnings)
 

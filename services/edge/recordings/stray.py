@@ -30,6 +30,7 @@ from capture2vr.edge.capture.poses import bad_pose, pose_from_quaternion
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films.film import read_film
 from capture2vr.edge.films.video import VideoColour, VideoFrames
+from capture2vr.sentences.sentence import say
 
 ODOMETRY, CAMERA, VIDEO = "odometry.csv", "camera_matrix.csv", "rgb.mp4"
 METRES_PER_STEP = 1e-3
@@ -52,10 +53,10 @@ def read(folder: Folder) -> Capture:
         return _photos(folder, rows)
     depths = {_frame_number(name): name for name in folder.directly_in("depth", ".png", ".npy")}
     posed = sorted(index for index in depths if index in rows)
-    warnings = check_mostly_paired(len(posed), len(depths), len(rows), file=ODOMETRY, what="poses")
+    warnings = check_mostly_paired(len(posed), len(depths), len(rows), file=ODOMETRY, what=say("word_poses"))
     video = VideoFrames(folder.path(VIDEO), VIDEO) if folder.has(VIDEO) else None
     if video is None:
-        warnings = (*warnings, f"{VIDEO} is missing, so the result has no colours")
+        warnings = (*warnings, say("missing_so_result", file=VIDEO))
     size = video.size() if video is not None else _VIDEO_SIZE
     shared = None if "fx" in rows[posed[0]] else _shared_intrinsics(folder, size)
     records = [_record(folder, index, depths[index], rows[index], shared, size, video) for index in posed]
@@ -73,7 +74,7 @@ def _photos(folder: Folder, rows: Mapping[int, Mapping[str, str]]) -> Capture:
 
 def _photo(photo: Photo, index: int, row: Mapping[str, str] | None, shared: Intrinsics | None) -> Photo:
     if row is None:
-        raise bad_pose(photo.name, f"is frame {index}, which has no row in {ODOMETRY}")
+        raise bad_pose(photo.name, say("frame_has_no_row", index=index, file=ODOMETRY))
     return with_app_camera(photo, shared or _row_camera(row, photo.size), _pose(row, index), "opencv")
 
 
@@ -81,7 +82,7 @@ def _frame_number(name: str) -> int:
     """Return the frame's number from the name of its depth file. Raises CAPTURE_UNREADABLE."""
     stem = posixpath.splitext(posixpath.basename(name))[0]
     if not (stem.isascii() and stem.isdigit() and len(stem) < 10):
-        raise unreadable(name, "has a name that is not a frame number, such as 000042")
+        raise unreadable(name, say("has_name_not_frame_number"))
     return int(stem)
 
 
@@ -129,8 +130,8 @@ def _row_camera(row: Mapping[str, str], size: tuple[int, int]) -> Intrinsics:
 def _shared_intrinsics(folder: Folder, size: tuple[int, int]) -> Intrinsics:
     """Read the intrinsics that all frames share, from camera_matrix.csv."""
     if not folder.has(CAMERA):
-        what = "is missing, so the camera's intrinsics are unknown"
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=CAMERA, hints=("send the whole recording",))
+        what = say("missing_so_camera_intrinsics_unknown")
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=CAMERA, hints=(say("send_whole_recording"),))
     text = read_text(folder.path(CAMERA), CAMERA)
     k: Floats = numbers(text.replace(",", " ").split(), 9, file=CAMERA, what="camera matrix").reshape(3, 3)
     return matrix_pinhole(k, size)

@@ -38,6 +38,7 @@ from capture2vr.edge.capture.images import image_size
 from capture2vr.edge.capture.nouns import Capture, Intrinsics
 from capture2vr.edge.capture.poses import pose_from_quaternion
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 OPEN3D_STEPS_PER_METRE = 1000.0
 TUM_STEPS_PER_METRE = 5000.0
@@ -70,7 +71,9 @@ def _read_open3d(folder: Folder, log: str | None) -> Capture:
     poses = [np.eye(4)] * len(depths) if log is None else read_log(folder, log)
     check_counts_match(len(depths), len(poses), file=log or "depth", what=f"poses in {log}")
     if colours:
-        check_counts_match(len(depths), len(colours), file=posixpath.dirname(colours[0]), what="colour images")
+        check_counts_match(
+            len(depths), len(colours), file=posixpath.dirname(colours[0]), what=say("word_colour_images")
+        )
     camera, scale = _camera(folder, depths, OPEN3D_STEPS_PER_METRE)
     pairs: list[str | None] = [*colours] if colours else [None] * len(depths)
     records = [
@@ -91,7 +94,7 @@ def read_log(folder: Folder, log: str) -> list[Floats]:
     if not lines:
         raise no_poses(log, "a pose in trajectory.log")
     if len(lines) % 5:
-        what = f"is cut off: it has {len(lines)} lines, and each pose needs five"
+        what = say("cut_off_has_lines_each", count=len(lines))
         raise CaptureError("CAPTURE_TRUNCATED", what, file=log)
     blocks = (lines[at : at + 5] for at in range(0, len(lines), 5))
     return [numbers(" ".join(block[1:]).split(), 16, file=log, what="pose").reshape(4, 4) for block in blocks]
@@ -104,7 +107,7 @@ def _read_tum(folder: Folder, truth: str | None) -> Capture:
     """
     depths, colours = _stamped_names(folder, "depth"), _stamped_names(folder, "rgb")
     if not depths:
-        raise CaptureError("CAPTURE_EMPTY", "has no depth images with time stamps", file="depth.txt")
+        raise CaptureError("CAPTURE_EMPTY", say("has_no_stamped_depth_images"), file="depth.txt")
     stamps, poses = _placeholder_poses(depths) if truth is None else _ground_truth(folder, truth)
     camera, scale = _camera(folder, [name for _, name in depths if folder.has(name)], TUM_STEPS_PER_METRE)
     colour_stamps = np.array([seconds for seconds, _ in colours])
@@ -120,12 +123,13 @@ def _read_tum(folder: Folder, truth: str | None) -> Capture:
             name = None if colour is None or not folder.has(colours[colour][1]) else colours[colour][1]
             records.append(frame_of_files(folder, depth, camera, poses[pose], 1 / scale, colour=name))
     if not records and missing:
-        raise CaptureError(
-            "CAPTURE_COUNT_MISMATCH", "is listed in depth.txt but missing, like all other depth images", file=missing[0]
-        )
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", say("listed_in_depth_txt"), file=missing[0])
     if not records:
         raise no_poses(truth or "depth.txt", f"a pose within {MAX_APART_S} s of a depth image")
-    warnings = (*missing_warning(missing, "depth images"), *missing_warning(unposed, "poses of depth images"))
+    warnings = (
+        *missing_warning(missing, say("word_depth_images")),
+        *missing_warning(unposed, say("word_poses_of_depth_images")),
+    )
     up = None if truth is None else _UP_Z
     return rgbd_capture("tum", records, axes="opencv", up=up, file="depth", warnings=warnings)
 
@@ -141,7 +145,7 @@ def _stamped_names(folder: Folder, what: str) -> list[tuple[float, str]]:
     if folder.has(index):
         rows = [row.split() for row in data_lines(read_text(folder.path(index), index))]
         if any(len(row) < 2 for row in rows):
-            raise unreadable(index, "has a line that is not a time stamp followed by a file name")
+            raise unreadable(index, say("has_line_not_time_stamp"))
         pairs = [(row[0], folder.resolve(row[1], by=index)) for row in rows]
     else:
         pairs = [(posixpath.splitext(posixpath.basename(name))[0], name) for name in folder.directly_in(what, *_IMAGES)]
@@ -165,7 +169,7 @@ def _ground_truth(folder: Folder, truth: str) -> tuple[Floats, list[Floats]]:
     with translate_errors(truth, "trajectory"):
         table = np.loadtxt([row.replace(",", " ") for row in rows], ndmin=2)
     if table.shape[1] != 8:
-        raise unreadable(truth, f"has {table.shape[1]} columns; eight are needed: time tx ty tz qx qy qz qw")
+        raise unreadable(truth, say("has_columns_eight_needed_time", count=table.shape[1]))
     return table[:, 0], [pose_from_quaternion(row[1:4], row[4:8]) for row in table]
 
 
@@ -183,10 +187,10 @@ def _camera(folder: Folder, depths: Sequence[str], steps_per_metre: float) -> tu
             camera = matrix_pinhole(matrix, (width, height))
             scale = number(record, "depth_scale", file=name) if "depth_scale" in record else steps_per_metre
             if not 0 < scale < np.inf:
-                raise unreadable(name, f"has depth_scale = {scale}, which is not a positive, finite number")
+                raise unreadable(name, say("has_depth_scale_not_positive", value=scale))
             return camera, scale
     if not depths:
-        raise CaptureError("CAPTURE_EMPTY", "has no depth images", file="depth")
+        raise CaptureError("CAPTURE_EMPTY", say("has_no_depth_images"), file="depth")
     if not depths[0].endswith(".npy"):
         found = find_calibration(folder, image_size(folder.path(depths[0]), depths[0]))
         if found is not None:
@@ -196,7 +200,7 @@ def _camera(folder: Folder, depths: Sequence[str], steps_per_metre: float) -> tu
 
 def _image_side(value: float, file: str) -> int:
     if not 1 <= value <= 1e6:
-        raise unreadable(file, f"has the impossible image width or height {value}")
+        raise unreadable(file, say("has_impossible_image_width_height", value=value))
     return int(value)
 
 
@@ -204,7 +208,7 @@ def _default_camera(folder: Folder, depth: str) -> Intrinsics:
     """Return the PrimeSense camera of Kinect and Structure sensors; CAPTURE_BAD_INTRINSICS for images unlike 4:3."""
     width, height = image_size(folder.path(depth), depth) if not depth.endswith(".npy") else (640, 480)
     if width * 3 != height * 4:
-        what = f"has images of {width} x {height}, and there is no JSON file with the camera's intrinsic_matrix"
-        hint = "add a camera.json with width, height and intrinsic_matrix (column by column)"
+        what = say("has_images_x_no_json", width=width, height=height)
+        hint = say("add_camera_json_with_width")
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file="depth", hints=(hint,))
     return PRIMESENSE.scaled_to(width, height)

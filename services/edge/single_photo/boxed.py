@@ -7,10 +7,11 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bools, Bytes
 from capture2vr.edge.single_photo.segmentation import grab_cut, has_contrast, main_part, no_object
+from capture2vr.sentences.sentence import say
 
 _LEAST_PX = 16  # least side of a rectangle in pixels of the photo: less shows no shape
 _LEAST_SHARE = 0.05  # of the rectangle, that a thing covers; people draw it around the thing
-_ADVICE = "draw the rectangle around the whole thing, a little larger than it"
+_ADVICE = say("draw_rectangle_around_whole_thing")
 
 
 def segment_in_box(rgb: Bytes, rows: slice, columns: slice, name: str) -> Bools:
@@ -21,13 +22,13 @@ def segment_in_box(rgb: Bytes, rows: slice, columns: slice, name: str) -> Bools:
     """
     height, width = rows.stop - rows.start, columns.stop - columns.start
     if min(height, width) < _LEAST_PX:
-        reason = f"has {width} x {height} pixels in the rectangle; at least {_LEAST_PX} x {_LEAST_PX} are needed"
-        raise no_object(name, reason, "draw a larger rectangle", "take the photo from closer")
+        reason = say("has_x_pixels_in_rectangle", width=width, height=height, w=_LEAST_PX, h=_LEAST_PX)
+        raise no_object(name, reason, say("draw_larger_rectangle"), say("take_photo_from_closer"))
     box = np.zeros(rgb.shape[:2], bool)
     box[rows, columns] = True
     mask = main_part(grab_cut(rgb, _seeds(box, rows, columns)) & box) & box
     if mask.sum() < _LEAST_SHARE * box.sum() or not has_contrast(rgb, mask):
-        raise no_object(name, "shows nothing in the rectangle whose colours differ from those around it", _ADVICE)
+        raise no_object(name, say("shows_nothing_in_rectangle_whose"), _ADVICE)
     return mask
 
 

@@ -20,6 +20,7 @@ from capture2vr.edge.single_photo.plain_background import segment_by_colour
 from capture2vr.edge.single_photo.proposal import propose
 from capture2vr.edge.single_photo.segmentation import no_object
 from capture2vr.order.photo_box import WHOLE, PhotoBox
+from capture2vr.sentences.sentence import say
 
 LONGEST = 320
 """Longest side in pixels of the picture that is segmented: GrabCut takes 0.2 s, and the network sees only 64."""
@@ -118,10 +119,7 @@ def _cut_whole(rgb: Bytes, area: PhotoBox, name: str) -> CutOut:
     with suppress(CaptureError):
         return CutOut(rgb, segment_by_colour(rgb, name), area)
     proposed = CutOut(rgb, propose(rgb, name), area)
-    warning = (
-        f"Nothing stands out from the background of {name}, so the largest thing near its middle was taken, in the "
-        f"rectangle {proposed.bounds()}. If that is not the thing, draw a rectangle around it (--box)."
-    )
+    warning = say("nothing_stands_out_from_background", name=name, bounds=proposed.bounds())
     return replace(proposed, warnings=(warning,))
 
 
@@ -136,8 +134,8 @@ def _cut_by_alpha(photo: Photo, alpha: Bytes, box: PhotoBox | None) -> CutOut:
         chosen[rows, columns] = mask[rows, columns]
         mask = chosen
     if not mask.any():
-        advice = "draw the rectangle around the thing, or send the photo without its alpha channel"
-        raise no_object(photo.name, "is transparent everywhere in the rectangle", advice)
+        advice = say("draw_rectangle_around_thing_send")
+        raise no_object(photo.name, say("transparent_everywhere_in_rectangle"), advice)
     return CutOut(rotate_clockwise(stored, photo.turns), mask)
 
 
@@ -153,8 +151,8 @@ def _load_area(photo: Photo, area: PhotoBox) -> Bytes:
     rows, columns = _pixels(area, WHOLE, upright.shape)
     part = np.ascontiguousarray(upright[rows, columns])
     if min(part.shape[:2]) < _LEAST_SIDE:
-        seen = f"is {part.shape[1]} × {part.shape[0]} pixels where it is looked at, too few to see a thing"
-        raise no_object(photo.name, seen, "take a larger photo, or draw a larger rectangle")
+        seen = say("pixels_where_looked_too_few", width=part.shape[1], height=part.shape[0])
+        raise no_object(photo.name, seen, say("take_larger_photo_draw_larger"))
     return part
 
 

@@ -17,6 +17,7 @@ from capture2vr.edge.single_photo.segmentation import (
     main_part,
     no_object,
 )
+from capture2vr.sentences.sentence import say
 
 _BORDER_COLOURS = 4  # clusters of k-means
 _SURELY, _PERHAPS = 2.5, 1.2  # `_strangeness` above which a pixel is surely, or perhaps, the thing
@@ -28,14 +29,14 @@ def segment_by_colour(rgb: Bytes, name: str) -> Bools:
     strange = _strangeness(rgb)
     seeds = _seeds(strange)
     if seeds is None:
-        raise no_object(name, "shows nothing that stands out from its background")
+        raise no_object(name, say("shows_nothing_stands"))
     mask = main_part(grab_cut(rgb, seeds))
     if mask.mean() < LEAST_AREA:
-        raise no_object(name, "shows nothing that stands out from its background")
+        raise no_object(name, say("shows_nothing_stands"))
     if float(np.median(strange[mask])) < _PERHAPS or not has_contrast(rgb, mask):
-        raise no_object(name, "shows nothing whose colours differ from those of its background")
+        raise no_object(name, say("shows_nothing_whose_colours_differ"))
     if is_cut_off(mask):
-        raise no_object(name, "shows something that reaches beyond the picture on every side")
+        raise no_object(name, say("shows_something_reaches_beyond_picture"))
     return mask
 
 

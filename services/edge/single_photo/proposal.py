@@ -25,6 +25,7 @@ from capture2vr.edge.single_photo.segmentation import (
     main_part,
     no_object,
 )
+from capture2vr.sentences.sentence import say
 
 _OF_OTSU = (0.8, 1.0, 1.2)  # levels, of Otsu's threshold of the saliency
 _LEVELS = (0.5, 0.65, 0.8)  # levels, of the highest saliency
@@ -40,11 +41,11 @@ def propose(rgb: Bytes, name: str) -> Bools:
     found = [mask for mask in _candidates(rgb) if has_contrast(rgb, mask)]
     own = [own_colours(rgb, mask) for mask in found]
     if not found or max(own) < _OWN:
-        reason = "shows nothing whose colours differ from those of its background"
-        raise no_object(name, reason, "if there is a thing in it, draw a rectangle around it (--box)")
+        reason = say("shows_nothing_whose_colours_differ")
+        raise no_object(name, reason, say("if_thing_in_draw_rectangle"))
     mask = max(zip(found, own, strict=True), key=lambda each: _merit(*each))[0]
     if is_cut_off(mask):
-        raise no_object(name, "shows something that reaches beyond the picture on every side")
+        raise no_object(name, say("shows_something_reaches_beyond_picture"))
     return mask
 
 

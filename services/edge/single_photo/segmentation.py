@@ -7,6 +7,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 MOST_AREA = 0.92
 """Most share of the picture that a thing covers."""
@@ -19,8 +20,8 @@ _OUTLINE = 1.2  # least contrast of an outline, CIELAB per pixel; things have 4 
 _EDGE = 0.25  # share of a side of the picture that a thing which is cut off there covers at least
 _APART = 0.2  # of the best component's merit: components below it do not belong to the thing
 _ADVICE = (
-    "take the photo so that the whole thing is in it, with some background on every side",
-    "choose a background of another colour than the thing, in even light",
+    say("take_photo_so_whole_thing"),
+    say("choose_background_another_colour_than"),
 )
 
 

@@ -33,6 +33,7 @@ from capture2vr.edge.render.sample_image import shrink_to
 from capture2vr.edge.render.silhouette import disc, outline_thing, see_mesh
 from capture2vr.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
 from capture2vr.edge.splats.surface_splats import THINNEST_M, Splats
+from capture2vr.sentences.sentence import say
 
 LONGEST_PX = 640
 """Longer side of the photos that splats are compared with: a headset shows a thing at arm's length about as large."""
@@ -101,7 +102,7 @@ def _load(mesh: Mesh, pictures: Sequence[PosedPicture], device: torch.device, ti
             photos.append(_photo(picture, inner, ~outer, device))
         tick((number + 1) / len(pictures))
     if not photos:
-        raise EdgeError("SPLATS_UNSEEN", "no photo shows the mesh", hints=("photograph the thing from all sides",))
+        raise EdgeError("SPLATS_UNSEEN", say("no_photo_shows_mesh"), hints=(say("photograph_thing_from_all_sides"),))
     return photos
 
 
@@ -161,7 +162,7 @@ class _Training:
             arrays = [each.cpu().numpy() for each in (now.xyz, now.rotation, now.scale, now.opacity, now.rgb)]
         xyz, rotation, scale, opacity, rgb = arrays
         if not all(np.isfinite(each).all() for each in arrays):
-            raise EdgeError("SPLATS_DIVERGED", "the training of the splats diverged")
+            raise EdgeError("SPLATS_DIVERGED", say("training_splats_diverged"))
         kept = opacity >= _GONE
         rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=1, keepdims=True), 1e-12)
         colours = np.rint(rgb * 255).astype(np.uint8)

@@ -19,6 +19,7 @@ from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.edge.texture.bake import bake, interpolate, jpeg_of, random_places
 from capture2vr.edge.texture.nearest_colour import ColouredPoints
 from capture2vr.edge.texture.unwrap import UnwrapError, unwrap
+from capture2vr.sentences.sentence import say
 
 SMALLEST_PX = 64
 """Side of the smallest texture, in texels."""
@@ -123,7 +124,7 @@ def unwrap_and_bake(
     light_at = partial(_light_at, palette, texel)
     picture, covered = bake(bare, unwrapped.uv, light_at, side=side, tick=part_of(tick, _UNWRAP_SHARE, 1))
     if covered < _SAMPLES_PER_VERTEX * len(mesh.vertices):
-        raise UnwrapError(f"its {unwrapped.charts:,} charts leave only {covered:,} of {side}² texels for the surface")
+        raise UnwrapError(say("charts_leave_only_texels_surface", charts=unwrapped.charts, covered=covered, side=side))
     ktx2 = encode(picture, part_of(whole, _BAKE_SHARE, 1)) if encode else None
     return TexturedMesh(bare, unwrapped.uv, jpeg_of(picture, _QUALITY), side, ktx2)
 
@@ -165,7 +166,7 @@ def texture_levels(
         try:
             return (_make_largest(make, side, fits) if number == len(levels) - 1 else make(side=side)), ()
         except UnwrapError as error:
-            return level, (f"LOD {number} has no texture: {error}. It keeps its vertex colours.",)
+            return level, (say("lod_has_no_texture_keeps", level=number, why=error),)
 
     # At the same time: half of a level's seconds, such as xatlas packing its charts, keep one core busy alone.
     assets, warnings = zip(*in_threads(texture, range(len(levels))), strict=True)

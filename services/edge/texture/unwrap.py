@@ -25,6 +25,7 @@ from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.topology import compact
 from capture2vr.process.child_start import python_command
+from capture2vr.sentences.sentence import say
 
 MOST_FACES = 75_000
 """Most triangles that are unwrapped: 50,000 take seconds; a mesh of many openings cannot be brought down to them."""
@@ -64,13 +65,13 @@ def unwrap(mesh: Mesh, *, side: int, tick: Tick = no_tick, most_seconds: float =
     killed at once.
     """
     if len(mesh.faces) > MOST_FACES:
-        raise UnwrapError(f"{len(mesh.faces):,} triangles are more than the {MOST_FACES:,} that can be unwrapped")
+        raise UnwrapError(say("triangles_more_than", count=len(mesh.faces), most=MOST_FACES))
     mesh = _drop_slivers(mesh)
     order, ends = _patches(mesh)
     try:
         found = _run_xatlas(mesh, order, ends, side, tick, most_seconds)
     except OSError as error:  # the disk is full, or no process can be started: the asset then has vertex colours
-        raise UnwrapError(f"xatlas could not be run: {error.strerror or error}") from None
+        raise UnwrapError(say("xatlas_could_not_be_run", why=error.strerror or error)) from None
     faces = np.empty_like(mesh.faces)
     faces[order] = found["faces"]
     # Both axes are divided by the longer side, so that charts are not stretched; at the shorter side a strip is free.
@@ -101,11 +102,11 @@ def _run_xatlas(
 def _drop_slivers(mesh: Mesh) -> Mesh:
     """Drop faces without an area. Raises UnwrapError where none is left, and for vertices that are not finite."""
     if not np.isfinite(mesh.vertices).all():
-        raise UnwrapError("it has vertices that are not finite")
+        raise UnwrapError(say("has_vertices_not_finite"))
     area = np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1)
     mean = float(area.mean()) if len(area) else 0.0
     if not mean > 0:
-        raise UnwrapError("it has no triangle with an area")
+        raise UnwrapError(say("has_no_triangle_with_area"))
     return compact(mesh, np.flatnonzero(area > _LEAST_AREA * mean))
 
 
@@ -160,7 +161,7 @@ def _drop_unplaced(mesh: Mesh, was: Ints, faces: Ints, uv: Floats) -> tuple[Mesh
     ab, ac = b - a, c - a
     placed = np.flatnonzero(ab[:, 0] * ac[:, 1] != ab[:, 1] * ac[:, 0])
     if len(placed) == 0:
-        raise UnwrapError("xatlas placed none of its triangles")
+        raise UnwrapError(say("xatlas_placed_none_triangles"))
     used = np.zeros(len(was), bool)
     used[faces[placed]] = True
     return compact(mesh.with_vertices(was, faces), placed), uv[used]

@@ -16,6 +16,7 @@ from capture2vr.edge.arrays import part_of
 from capture2vr.edge.engine.nouns import Engine, Needs, Submitted, Work
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.progress import Bar, Progress
+from capture2vr.sentences.sentence import say
 
 TRIES = 3
 """How often a part is tried before the job fails."""
@@ -49,13 +50,20 @@ class PartWork(Generic[Part, Result]):
     keep: Callable[[Part, Result], None]
 
 
+def _tiles_done(done: int, total: int) -> str:
+    return say("tiles_done", done=done, total=total)
+
+
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Where on the bar a series of parts is: `stage`, and from which to which share of it. kind: what it counts"""
+    """Where on the bar a series of parts is: `stage`, and from which to which share of it.
+
+    count   says how many parts of how many are done
+    """
 
     bar: Bar
     stage: str
-    kind: str = "tiles"
+    count: Callable[[int, int], str] = _tiles_done
     begin: float = 0.0
     end: float = 1.0
 
@@ -65,7 +73,7 @@ class Span:
 
     def told(self, done: int, total: int) -> Progress:
         """Say how many parts are done."""
-        return self.bar.advance(self.stage, self.at(done / total), f"{done:,} of {total:,} {self.kind}")
+        return self.bar.advance(self.stage, self.at(done / total), self.count(done, total))
 
 
 def run_parts(
@@ -91,8 +99,8 @@ def part_failed(name: str, error: Exception) -> EdgeError:
     """Return the error of a part that has failed each time, the last time by `error`."""
     return EdgeError(
         "TILE_FAILED",
-        f"tile {name} of the scene failed {TRIES} times: {str(error) or type(error).__name__}",
-        hints=("send the scene without that part", "or use preset scene, which makes one coarser mesh"),
+        say("tile_scene_failed_times", name=name, times=TRIES, why=str(error) or type(error).__name__),
+        hints=(say("send_scene_without_part"), say("use_preset_scene_makes")),
     )
 
 

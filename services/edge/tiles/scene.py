@@ -15,6 +15,7 @@ import hashlib
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,7 @@ from capture2vr.edge.tiles.tile_levels import Node
 from capture2vr.edge.tiles.tile_points import bounds_of, noise_of_tiles, points_around, sort_into_tiles, thin_tile
 from capture2vr.edge.tiles.tile_views import TileViews
 from capture2vr.edge.tiles.weld import strip_of, weld
+from capture2vr.sentences.sentence import say
 
 TILE_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.1, "TEXTURING": 0.75, "PACKING": 0.97, "PUBLISHING": 0.99}
 """Fraction of the pass at which each stage begins: measured on 4 million points of a flat."""
@@ -109,7 +111,7 @@ def reconstruct_tiles(
     points, to_asset, target = scene.points, scene.to_asset, scene.target
     parts = points.whole or CloudParts(len(points), lambda: iter((Cloud(points.xyz, points.rgb),)))
     files = SceneFolder(folder)
-    yield bar.begin("FITTING", f"{parts.count:,} points")
+    yield bar.begin("FITTING", say("count_points", count=parts.count))
     with clock("FITTING"):
         tick = bar.tick("FITTING")
         low, high = bounds_of(parts, to_asset, part_of(tick, 0, 0.3))
@@ -120,7 +122,7 @@ def reconstruct_tiles(
     views = TileViews([posed_picture(view, to_asset) for view in points.scene_views or points.texture_views])
     levels = LevelFiles(files, grid, views, target, resources.encode if target.ktx2 else None)
     with resources.engine() if resources.engine else nullcontext() as running:
-        yield bar.begin("EXTRACTING", f"{len(tiles):,} tiles of {grid.sides.max() * grid.cell:.2f} m")
+        yield bar.begin("EXTRACTING", say("tiles_of_size", count=len(tiles), size=grid.sides.max() * grid.cell))
         with clock("EXTRACTING"):
             yield from run_parts(running, tiles, _mesh_work(files, grid, noise), Span(bar, "EXTRACTING"))
             _weld_all(files, grid, tiles, bar.tick("EXTRACTING"))
@@ -212,15 +214,15 @@ def _levels(
     yield from run_parts(engine, nodes, levels.work_of_tiles(), Span(bar, "TEXTURING", end=_TILES_SHARE))
     nodes = [node for node in nodes if levels.figures(node).triangles]
     if not nodes:
-        hints = ("capture the scene from closer and from more sides",)
-        raise EdgeError("EXTRACTION_EMPTY", "no surface was found in any tile of the scene", hints=hints)
+        hints = (say("capture_scene_from_closer"),)
+        raise EdgeError("EXTRACTION_EMPTY", say("no_surface_found_in_any"), hints=hints)
     every, triangles = list(nodes), sum(levels.figures(node).triangles for node in nodes)
     tiles_made, children = len(nodes), dict[Node, list[Node]]()
     while len(nodes) > 1:
         for node in nodes:
             children.setdefault(node.parent, []).append(node)
         nodes = list(dict.fromkeys(node.parent for node in nodes))
-        span = Span(bar, "TEXTURING", f"parts of level {nodes[0].level}", begin=_TILES_SHARE)
+        span = Span(bar, "TEXTURING", partial(_parts_done, nodes[0].level), begin=_TILES_SHARE)
         yield from run_parts(engine, nodes, levels.work_of_ancestors(children), span)
         every += nodes
     (root,) = nodes
@@ -230,3 +232,7 @@ def _levels(
     files = {each.name: paths[each.file] for each in tree}
     points = sum((levels.folder.tiles or {}).values())
     return TiledScene(tree, files, mesh, levels.grid, points, tiles_made, triangles, root.level + 1)
+
+
+def _parts_done(level: int, done: int, total: int) -> str:
+    return say("parts_of_level_done", done=done, total=total, level=level)

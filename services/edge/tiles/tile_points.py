@@ -18,6 +18,7 @@ from capture2vr.edge.points.voxel_grid import cell_keys, sum_groups
 from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.edge.tiles.folder import RAW, SceneFolder
 from capture2vr.edge.tiles.grid import STEPS, Tile, TileGrid, name_of, neighbours
+from capture2vr.sentences.sentence import say
 
 MOST_TILES = 20_000
 """Tiles of a scene: 20 hectares of floor at 1 cm. More of them, and strays far away made the grid what it is."""
@@ -48,8 +49,8 @@ def sort_into_tiles(parts: CloudParts, to_asset: Floats, grid: TileGrid, folder:
             read += len(some.xyz)
             tick(min(read / parts.count, 1))
         if len(counts) > MOST_TILES:
-            message = f"the points lie in more than {MOST_TILES:,} tiles of {grid.sides.max() * grid.cell:.2f} m"
-            raise EdgeError("SCENE_TOO_LARGE", message, hints=("remove stray points far away, or send it in parts",))
+            message = say("points_lie_in_more_than", most=MOST_TILES, size=grid.sides.max() * grid.cell)
+            raise EdgeError("SCENE_TOO_LARGE", message, hints=(say("remove_stray_points_far_away"),))
     folder.set_tiles(dict(sorted(counts.items())))
 
 

@@ -16,6 +16,7 @@ from capture2vr.edge.worker.job_request import RefusedError, invalid
 from capture2vr.edge.worker.job_run import Work
 from capture2vr.edge.worker.scratch import Scratch
 from capture2vr.order.download_formats import FORMATS
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import is_sha256
 from capture2vr.storage.catalogue.downloads import DownloadOrder
 from capture2vr.storage.catalogue.entry import valid_key
@@ -41,12 +42,12 @@ class DownloadMaker:
         """Make a download, or wait for the one that is being made. Raises RefusedError."""
         tenant, order = _checked(request)
         if self._closed.is_set():
-            raise RefusedError(grpc.StatusCode.UNAVAILABLE, "WORKER_DRAINING", "this worker is shutting down")
+            raise RefusedError(grpc.StatusCode.UNAVAILABLE, "WORKER_DRAINING", say("this_worker_shutting_down"))
         task = self._making.get((tenant, order))
         if task is None:
             if len(self._making) >= MOST:
                 status = grpc.StatusCode.RESOURCE_EXHAUSTED
-                raise RefusedError(status, "DOWNLOADS_BUSY", f"{MOST} downloads are being made already")
+                raise RefusedError(status, "DOWNLOADS_BUSY", say("downloads_being_made_already", count=MOST))
             task = asyncio.create_task(self._make(tenant, order))
             self._making[tenant, order] = task
             task.add_done_callback(lambda _: self._making.pop((tenant, order)))

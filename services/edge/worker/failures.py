@@ -8,14 +8,16 @@ from pathlib import Path
 
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.errors import EdgeError
+from capture2vr.edge.worker.coded_messages import coded_failure
+from capture2vr.sentences.sentence import map_texts, say
 
 _log = logging.getLogger(__name__)
 
-CANCELLED = pb.Failure(code="CANCELLED", message="the job was cancelled")
-DRAINING = pb.Failure(
-    code="WORKER_DRAINING",
-    message="the worker is shutting down before it could finish the job",
-    hints=["send the job again: another worker takes it"],
+CANCELLED = coded_failure("CANCELLED", say("job_cancelled"))
+DRAINING = coded_failure(
+    "WORKER_DRAINING",
+    say("worker_shutting_down_before_could"),
+    hints=(say("send_job_again_another_worker"),),
     retryable=True,
 )
 
@@ -27,13 +29,13 @@ def failure_of(error: BaseException, *, job: str, scratch: Path) -> pb.Failure:
             return _from_edge_error(error, scratch)
         case OSError(errno=errno.ENOSPC):
             _log.error("job %s: no space left in the scratch folder", job, exc_info=error)
-            return pb.Failure(code="SCRATCH_FULL", message="the worker's disk is full", retryable=True)
+            return coded_failure("SCRATCH_FULL", say("worker_disk_full"), retryable=True)
         case MemoryError():
             _log.error("job %s: out of memory", job, exc_info=error)
-            return pb.Failure(
-                code="OUT_OF_MEMORY",
-                message="the worker has too little memory for this capture with this preset",
-                hints=["choose a coarser preset", "send fewer frames or points"],
+            return coded_failure(
+                "OUT_OF_MEMORY",
+                say("worker_has_too_little_memory"),
+                hints=(say("choose_coarser_preset"), say("send_fewer_frames_points")),
             )
         case _:
             _log.error("job %s: unexpected %s", job, type(error).__name__, exc_info=error)
@@ -42,15 +44,15 @@ def failure_of(error: BaseException, *, job: str, scratch: Path) -> pb.Failure:
 
 def internal(job: str) -> pb.Failure:
     """Return the failure of a job that a fault of the worker itself has ended, which its log tells."""
-    return pb.Failure(code="INTERNAL", message=f"the worker failed; its log has the reason under job {job}")
+    return coded_failure("INTERNAL", say("worker_failed_log_has_reason", job=job))
 
 
 def _from_edge_error(error: EdgeError, scratch: Path) -> pb.Failure:
-    return pb.Failure(
-        code=error.code,
-        message=_printable(scratch, error.message),
+    return coded_failure(
+        error.code,
+        _printable(scratch, error.message),
         file=_printable(scratch, error.file or ""),
-        hints=[_printable(scratch, hint) for hint in error.hints],
+        hints=tuple(_printable(scratch, hint) for hint in error.hints),
         retryable=error.retryable,
     )
 
@@ -60,5 +62,9 @@ def _printable(scratch: Path, text: str) -> str:
 
     A capture's JSON can name files by half a surrogate pair, which no message can hold: a question mark replaces it.
     """
-    plain = text.replace(f"{scratch}/", "").replace(str(scratch), "the capture")
-    return plain.encode("utf-8", "replace").decode()
+
+    def plain(each: str) -> str:
+        without = each.replace(f"{scratch}/", "").replace(str(scratch), "the capture")
+        return without.encode("utf-8", "replace").decode()
+
+    return map_texts(text, plain)

@@ -19,6 +19,7 @@ from capture2vr.edge.worker.job_run import Work
 from capture2vr.edge.worker.scratch import Scratch
 from capture2vr.edge.worker.upload import receive
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
 
 AT_ONCE = 4
 """Most inspections at once, each a process that mostly decodes headers: more would slow down the jobs, and a phone can
@@ -43,7 +44,7 @@ class Inspections:
         """
         if self._active >= AT_ONCE:
             status = grpc.StatusCode.RESOURCE_EXHAUSTED
-            raise RefusedError(status, "INSPECTIONS_BUSY", f"{AT_ONCE} captures are being inspected already")
+            raise RefusedError(status, "INSPECTIONS_BUSY", say("captures_being_inspected_already", count=AT_ONCE))
         folder = self._scratch.folder(capture_bytes)
         self._active += 1
         try:
@@ -75,7 +76,7 @@ class Inspections:
                 return await verdict
         except TimeoutError:
             status = grpc.StatusCode.DEADLINE_EXCEEDED
-            raise RefusedError(status, "INSPECTION_SLOW", f"the capture was not read within {WITHIN_S:.0f} s") from None
+            raise RefusedError(status, "INSPECTION_SLOW", say("capture_not_read_within_s", seconds=WITHIN_S)) from None
         finally:
             abandoned.set()
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import grpc
 
 from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.worker.coded_messages import coded_progress
 from capture2vr.edge.worker.event_log import Ending
 from capture2vr.edge.worker.failures import CANCELLED, DRAINING
 from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError
@@ -19,6 +20,7 @@ from capture2vr.edge.worker.job_run import JobRun, Work
 from capture2vr.edge.worker.metrics import WorkerMetrics
 from capture2vr.edge.worker.scratch import Scratch
 from capture2vr.edge.worker.upload import receive
+from capture2vr.sentences.sentence import say
 
 _log = logging.getLogger(__name__)
 
@@ -119,7 +121,7 @@ class JobQueue:
         """Stop a job in its upload, the queue or its slot, which is free within two seconds; False for an unknown or
         ended job, and for a token that is not the job's."""
         if (upload := self._uploads.get(job)) is not None and _shows_token(upload.request, token):
-            upload.refuse(RefusedError(grpc.StatusCode.CANCELLED, "CANCELLED", "the job was cancelled"))
+            upload.refuse(RefusedError(grpc.StatusCode.CANCELLED, "CANCELLED", say("job_cancelled")))
             return True
         run = self.find(job, token)
         if run is None or run.log.ending is not None:
@@ -158,7 +160,7 @@ class JobQueue:
         self._require_unknown(request)
         if self._places_taken() >= self._places:
             status = grpc.StatusCode.RESOURCE_EXHAUSTED
-            raise RefusedError(status, "QUEUE_FULL", f"all {self._places} places of slots and queue are taken")
+            raise RefusedError(status, "QUEUE_FULL", say("all_places_slots_queue_taken", count=self._places))
 
     def _require_unknown(self, request: ReconstructionRequest) -> None:
         """Refuse a job that runs or has ended here; one that failed may run again under a higher fence."""
@@ -177,7 +179,7 @@ class JobQueue:
         self._runs[run.request.job] = run
         self._waiting.append(run)
         if len(self._busy) == self._slots:
-            run.log.add(pb.Progress(message=f"waiting for a slot, number {len(self._waiting)} in the queue"))
+            run.log.add(coded_progress(say("waiting_slot_number_in_queue", number=len(self._waiting))))
         self._idle.clear()
         heartbeat = asyncio.create_task(run.log.send_heartbeats())
         self._heartbeats.add(heartbeat)
@@ -258,7 +260,7 @@ def _shows_token(request: ReconstructionRequest, token: str) -> bool:
 
 
 def _draining() -> RefusedError:
-    return RefusedError(grpc.StatusCode.UNAVAILABLE, "WORKER_DRAINING", "the worker is shutting down")
+    return RefusedError(grpc.StatusCode.UNAVAILABLE, "WORKER_DRAINING", say("worker_shutting_down"))
 
 
 def _job_known(job: str, state: str) -> RefusedError:

@@ -13,6 +13,7 @@ import grpc
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.worker.job_request import RefusedError, invalid
 from capture2vr.edge.worker.scratch import translate_disk_errors
+from capture2vr.sentences.sentence import say
 
 IDLE_S = 30.0
 """Seconds without a chunk after which an upload is refused: it takes up a place in the queue."""
@@ -63,7 +64,7 @@ async def _next(chunks: AsyncIterator[pb.Chunk]) -> pb.Chunk | None:
             return await anext(chunks, None)
     except TimeoutError:
         status = grpc.StatusCode.DEADLINE_EXCEEDED
-        raise RefusedError(status, "UPLOAD_STALLED", f"no chunk arrived for {IDLE_S:.0f} s") from None
+        raise RefusedError(status, "UPLOAD_STALLED", say("no_chunk_arrived_s", seconds=IDLE_S)) from None
 
 
 def _write(file: BinaryIO, digest: hashlib._Hash, data: bytes) -> None:

@@ -11,11 +11,16 @@ import secrets
 from dataclasses import dataclass
 
 from capture2vr.gateway.access.caller import Scope
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 _SECRET_BYTES = 32
 KEY_PATTERN = re.compile(rf"c2v_(?P<tenant>{TENANT_PATTERN})_[A-Za-z0-9_-]{{43}}", re.ASCII)
 """A whole key. It begins with the product's name, so that scanners of leaked secrets find it."""
+
+
+ENDED = {"revoked": say("word_revoked"), "expired": say("word_expired")}
+"""Words for why a key is refused, by `ApiKey.refusal`."""
 
 
 @dataclass(frozen=True, slots=True)

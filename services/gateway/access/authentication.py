@@ -17,10 +17,11 @@ from cachetools import TTLCache
 from itsdangerous import BadSignature, URLSafeTimedSerializer
 from sqlalchemy.exc import SQLAlchemyError
 
-from capture2vr.gateway.access.api_key import KEY_PATTERN, ApiKey, hash_of
+from capture2vr.gateway.access.api_key import ENDED, KEY_PATTERN, ApiKey, hash_of
 from capture2vr.gateway.access.caller import ALL_SCOPES, Caller
 from capture2vr.gateway.access.store import AccessStore
 from capture2vr.gateway.errors import Problem
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 CACHE_S = 15.0
@@ -152,12 +153,12 @@ class Authentication:
         try:
             key_id = str((await self._serializer()).loads(cookie, max_age=SESSION_S))
         except BadSignature:  # altered, signed by another service, or too old
-            raise refused("SESSION_INVALID", "the session cookie is not valid", "log in again") from None
+            raise refused("SESSION_INVALID", say("session_cookie_not_valid"), say("log_in_again")) from None
         found = await self._cached(self._by_id, key_id, self.store.key)
         try:
             return _accepted(found)
         except Problem as problem:
-            raise refused("SESSION_ENDED", f"the session has ended: {problem.detail}", "log in again") from None
+            raise refused("SESSION_ENDED", say("session_has_ended", why=problem.detail), say("log_in_again")) from None
 
     async def _cached(
         self, cache: TTLCache[str, ApiKey | None], name: str, read: Callable[[str], ApiKey | None]
@@ -174,14 +175,18 @@ class Authentication:
 
 def refused(code: str, detail: str, hint: str = "") -> Problem:
     """Return the problem for a request that is not authenticated."""
-    hints = (hint or "an operator makes keys with `capture2vr keys create`",)
+    hints = (hint or say("operator_makes_keys_with_capture2vr"),)
     return Problem(401, code, detail, hints=hints, headers={"WWW-Authenticate": 'Bearer realm="capture2vr"'})
 
 
 def _accepted(key: ApiKey | None) -> ApiKey:
     """Return the key if it is good now. Raises Problem."""
     if key is None:
-        raise refused("KEY_UNKNOWN", "this access key is not known here")
+        raise refused("KEY_UNKNOWN", say("access_key_not_known_here"))
     if why := key.refusal(time.time()):
-        raise refused(f"KEY_{why.upper()}", f"this access key has {'been ' if why == 'revoked' else ''}{why}")
+        ended = ENDED[why]
+        raise refused(
+            f"KEY_{why.upper()}",
+            say("access_key", why=say("been_why", why=ended) if why == "revoked" else ended),
+        )
     return key

@@ -8,10 +8,12 @@ from limits.strategies import SlidingWindowCounterRateLimiter
 from starlette.requests import Request
 
 from capture2vr.gateway.errors import Problem
+from capture2vr.sentences.sentence import say
 
 _OF_ADDRESS = RateLimitItemPerMinute(5)
 # In the five minutes that a code lives, strangers together try one in seven thousand of all.
 _OF_ALL = RateLimitItemPerMinute(30)
+_WORDS = {"code": say("word_code"), "password": say("word_password")}
 
 
 class Guesses:
@@ -29,8 +31,8 @@ class Guesses:
         address = request.client.host if request.client else ""
         if self._limiter.hit(_OF_ADDRESS, self._what, address) and self._limiter.hit(_OF_ALL, self._what, of):
             return
-        detail = f"too many {self._what}s were tried within a minute"
-        hints = ("wait a minute",)
+        detail = say("too_many_s_tried_within", what=_WORDS[self._what])
+        hints = (say("wait_minute"),)
         headers = {"Retry-After": "60"}
         raise Problem(
             429, f"{self._what.upper()}_GUESSES_LIMITED", detail, retryable=True, hints=hints, headers=headers

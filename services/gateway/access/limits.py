@@ -19,6 +19,7 @@ from capture2vr.gateway.access.caller import Caller
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.own_address import is_own
 from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.sentences.sentence import say
 
 _UPLOAD_RETRY_S = 5
 _TENANTS = 20_000  # whose limits are cached
@@ -108,15 +109,15 @@ class Limits:
     def spend_moves(self, tenant: str, scene: str) -> None:
         """Count a report of what is moving in a scene. Raises Problem MOVES_LIMITED."""
         if not self._limiter.hit(_MOVES, "moves", tenant, scene):
-            detail = f"more than {_MOVES.amount} reports a second of what moves in this scene"
-            raise limited("MOVES_LIMITED", detail, 1, hint="report less often; nothing is lost by leaving one out")
+            detail = say("more_than_reports_second", count=_MOVES.amount)
+            raise limited("MOVES_LIMITED", detail, 1, hint=say("report_less_often_nothing_lost"))
 
     @contextmanager
     def upload(self, tenant: str, most: int) -> Iterator[None]:
         """Count an upload while it lasts. Raises Problem UPLOADS_LIMITED where `most` of the tenant's go on already."""
         if most and self._uploads[tenant] >= most:
-            detail = f"{most} uploads are going on already, as many as are allowed at once"
-            raise limited("UPLOADS_LIMITED", detail, _UPLOAD_RETRY_S, hint="wait until one has ended")
+            detail = say("uploads_going_on_already", count=most)
+            raise limited("UPLOADS_LIMITED", detail, _UPLOAD_RETRY_S, hint=say("wait_until_one_has_ended"))
         self._uploads[tenant] += 1
         try:
             yield
@@ -132,26 +133,26 @@ class Limits:
         reset_s = max(1, math.ceil(stats.reset_time - time.time()))
         state = RateState(limit, max(0, stats.remaining), reset_s)
         if not accepted:
-            detail = f"more than {limit:,} requests a minute"
-            raise limited("REQUESTS_LIMITED", detail, reset_s, hint="ask less often", headers=state.headers)
+            detail = say("more_than_requests_minute", limit=limit)
+            raise limited("REQUESTS_LIMITED", detail, reset_s, hint=say("ask_less_often"), headers=state.headers)
         return state
 
 
 def limited(code: str, detail: str, retry_s: int, *, hint: str, headers: Mapping[str, str] | None = None) -> Problem:
     """Return the problem for a limit that is reached now, and not after `retry_s` seconds."""
     answer = {"Retry-After": str(retry_s), **(headers or {})}
-    return Problem(429, code, detail, retryable=True, hints=(hint, f"try again in {retry_s} s"), headers=answer)
+    return Problem(
+        429, code, detail, retryable=True, hints=(hint, say("try_again_in_s", seconds=retry_s)), headers=answer
+    )
 
 
 def too_much_stored(limit: int, stored: int) -> Problem:
     """Return the problem for a tenant whose store is full. Waiting does not help, so it is no 429."""
-    detail = f"{stored:,} of {limit:,} bytes are stored, and this would be more than is allowed"
-    return Problem(
-        413, "STORED_BYTES_LIMITED", detail, hints=("delete captures or assets", "ask the operator for more")
-    )
+    detail = say("bytes_stored_would", stored=stored, limit=limit)
+    return Problem(413, "STORED_BYTES_LIMITED", detail, hints=(say("delete_captures_assets"), say("ask_operator")))
 
 
 def capture_too_large(limit: int) -> Problem:
     """Return the problem for a capture that is larger than the tenant's may be."""
-    detail = f"a capture may have at most {limit:,} bytes"
-    return Problem(413, "CAPTURE_BYTES_LIMITED", detail, hints=("send a smaller capture", "ask the operator for more"))
+    detail = say("capture_may_have_most_bytes", limit=limit)
+    return Problem(413, "CAPTURE_BYTES_LIMITED", detail, hints=(say("send_smaller_capture"), say("ask_operator")))

@@ -17,6 +17,7 @@ from itsdangerous import BadSignature, Signer, URLSafeTimedSerializer
 from capture2vr.gateway.access.authentication import CACHE_S, SESSION_S, Authentication, refused
 from capture2vr.gateway.access.shares import SHARE_ID, Share, ShareStore
 from capture2vr.gateway.errors import Problem
+from capture2vr.sentences.sentence import say
 
 COOKIE_PREFIX = "c2v_share_"
 """Prefix of the cookies of opened shares: each has one of its own, named by its id."""
@@ -57,9 +58,9 @@ class Sharing:
         """
         share = await self.share_of(token)
         if share.password and not password:
-            raise _refused("SHARE_PASSWORD_MISSING", "this was shared with a password")
+            raise _refused("SHARE_PASSWORD_MISSING", say("shared_with_password"))
         if share.password and not await self._authentication.run(lambda: share.has_password(password)):
-            raise _refused("SHARE_PASSWORD_WRONG", "this password is wrong")
+            raise _refused("SHARE_PASSWORD_WRONG", say("password_wrong"))
         await self._authentication.run(lambda: self.store.count(share.id))
         seconds = SESSION_S if share.expires is None else min(SESSION_S, int(share.expires - time.time()) + 1)
         return share, str((await self._serializer()).dumps(share.id)), seconds
@@ -83,9 +84,9 @@ class Sharing:
         try:
             share = await self.share_of(token)
         except Problem as problem:
-            raise refused(problem.code, problem.detail, "ask for a new link") from None
+            raise refused(problem.code, problem.detail, say("ask_new_link")) from None
         if share.password:
-            raise refused("SHARE_PASSWORD_MISSING", "this was shared with a password", "POST /v1/shares/open takes it")
+            raise refused("SHARE_PASSWORD_MISSING", say("shared_with_password"), "POST /v1/shares/open takes it")
         return share
 
     async def _of_cookie(self, value: str) -> Share | None:
@@ -119,8 +120,8 @@ def ended(share: Share) -> Problem | None:
     why = share.refusal(time.time())
     if not why:
         return None
-    detail = f"this was shared, and the link {'was taken back' if why == 'revoked' else 'has expired'}"
-    return Problem(410, f"SHARE_{why.upper()}", detail, hints=("ask whoever shared it for a new link",))
+    detail = say("shared_link", why=say("taken_back") if why == "revoked" else say("has_expired"))
+    return Problem(410, f"SHARE_{why.upper()}", detail, hints=(say("ask_whoever_shared_new_link"),))
 
 
 def _accepted(share: Share) -> Share:
@@ -130,8 +131,8 @@ def _accepted(share: Share) -> Share:
 
 
 def _refused(code: str, detail: str) -> Problem:
-    return Problem(401, code, detail, hints=("type the password that came with the link",))
+    return Problem(401, code, detail, hints=(say("type_password_came_with_link"),))
 
 
 def _unknown() -> Problem:
-    return Problem(404, "SHARE_UNKNOWN", "there is no such share link", hints=("check that the link is complete",))
+    return Problem(404, "SHARE_UNKNOWN", say("no_such_share_link"), hints=(say("check_link_complete"),))

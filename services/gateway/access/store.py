@@ -20,6 +20,7 @@ from capture2vr.gateway.access.caller import Scope, parse_scopes, scope_names
 from capture2vr.gateway.access.pairing import Pairing, find_pairing, free_code, pairing_from
 from capture2vr.gateway.access.tables import api_keys, pairings, secrets, tenants, usage
 from capture2vr.gateway.database.database import for_writing, upsert
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import check_tenant
 
 PAIRING_S = 300.0
@@ -128,7 +129,7 @@ class AccessStore:
         """
         found = KEY_PATTERN.fullmatch(secret)
         if found is None:
-            raise ValueError("this is no access key: one is c2v_TENANT_ and 43 letters, digits, _ or -")
+            raise ValueError(say("no_access_key_one_c2v"))
         self.ensure_tenant(found["tenant"])
         if known := self.key_by_hash(hash_of(secret)):
             return known

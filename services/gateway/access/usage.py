@@ -15,6 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from capture2vr.gateway.access.authentication import Authentication
 from capture2vr.gateway.access.limits import TenantLimits, capture_too_large, too_much_stored
 from capture2vr.gateway.errors import Problem
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store, list_all
 from capture2vr.storage.tenant_store import DEFAULT_TENANT, FOLDER, store_of_tenant
 
@@ -68,7 +69,7 @@ class Usage:
             try:
                 return await self._count(tenant)
             except OSError as error:
-                raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
+                raise Problem(503, "STORE_UNAVAILABLE", say("store_does_not_answer"), retryable=True) from error
         stored, measured = found
         if time.time() - measured > FRESH_S:
             self._count(tenant)

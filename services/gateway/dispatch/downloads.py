@@ -9,6 +9,7 @@ import logging
 from capture2vr.gateway.errors import RETRY_S, Problem
 from capture2vr.gateway.workers.worker_client import WorkerPool
 from capture2vr.gateway.workers.worker_types import RunUnknown, WorkerBusy, WorkerLost
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant, tenant_prefix
@@ -41,7 +42,7 @@ class Downloads:
         task = self._making.get(name)
         if task is None:
             if len(self._making) >= MOST:
-                raise _not_now("too many downloads are being made already")
+                raise _not_now(say("too_many_downloads_being_made"))
             task = self._making[name] = asyncio.create_task(self._make(tenant, order))
             task.add_done_callback(lambda done: self._forget(name, done))
         # Not cancelled with this request: others may wait for it, and whoever asks again finds it.
@@ -67,7 +68,7 @@ class Downloads:
                 return await self._workers.make_download(address, tenant, order)
             except (WorkerBusy, WorkerLost, RunUnknown) as error:
                 _log.warning("worker %s did not make %s of asset %s: %s", address, order.format.name, order.key, error)
-        raise _not_now("no worker is free to make the file" if addresses else "no worker is there to make the file")
+        raise _not_now(say("no_worker_free_to_make") if addresses else say("no_worker_to_make_file"))
 
     def _forget(self, name: str, task: asyncio.Task[StoredDownload]) -> None:
         del self._making[name]

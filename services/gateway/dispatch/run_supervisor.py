@@ -41,6 +41,7 @@ from capture2vr.gateway.workers.worker_types import (
 )
 from capture2vr.process.logs import log_fields
 from capture2vr.process.traces import capture_span
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
 
@@ -120,13 +121,13 @@ class RunSupervisor:
         except Problem as problem:
             await self._report([_refusal(self.job, problem)])
         except FileNotFoundError:
-            detail = f"the capture {self.job.order.capture} is no longer on the store"
-            missing = Problem(422, "CAPTURE_UNKNOWN", detail, hints=("upload the capture again",))
+            detail = say("capture_no_longer_on_store", capture=self.job.order.capture)
+            missing = Problem(422, "CAPTURE_UNKNOWN", detail, hints=(say("upload_capture_again"),))
             await self._report([_refusal(self.job, missing)])
         except OSError as error:
             _log.warning("job %s: the store cannot be read: %s", self.job.id, error)
             if error.errno == errno.EIO:  # of a disk that cannot read this very capture
-                detail = "the capture cannot be read from the store"
+                detail = say("capture_cannot_be_read")
                 await self._requeue_lost(Problem(503, "STORE_UNAVAILABLE", detail, retryable=True))
             else:  # No attempt: all jobs that wait would use theirs up while a store restarts.
                 await self._requeue_refused()
@@ -134,7 +135,7 @@ class RunSupervisor:
             raise
         except Exception:  # noqa: BLE001 - a bug here costs an attempt, as a lost worker does: no job retries for ever
             _log.exception("job %s: an internal error stopped its supervision", self.job.id)
-            detail = "an internal error of the gateway stopped the supervision of this run"
+            detail = say("internal_error_gateway_stopped_supervision")
             await self._requeue_lost(Problem(500, "INTERNAL", detail, retryable=True))
 
     async def _start_run(self) -> bool:
@@ -252,10 +253,10 @@ def _refusal(job: Job, problem: Problem) -> RunFailed:
 
 def _worker_lost(job: Job, *, out_of_memory: bool) -> Problem:
     """The problem of a job whose worker is gone. out_of_memory: whether the kernel killed the worker for that"""
-    times = f"{job.lease.attempts} times while it ran this job"
-    detail = f"the connection to the worker was lost {times}"
-    hint = "send a smaller capture: one too large for the worker's memory also ends like this"
+    times = say("times_while_ran_job", count=job.lease.attempts)
+    detail = say("connection_to_worker_lost", times=times)
+    hint = say("send_smaller_capture_one_too_large")
     if out_of_memory:
-        detail = f"the worker was lost {times}, the last time because its memory did not suffice"
-        hint = "send a smaller capture, choose a coarser preset, or give the worker more memory"
-    return Problem(503, "WORKER_LOST", detail, retryable=True, stage=job.stage, hints=("try again later", hint))
+        detail = say("worker_lost_last_time_because", times=times)
+        hint = say("send_smaller_capture_choose_coarser")
+    return Problem(503, "WORKER_LOST", detail, retryable=True, stage=job.stage, hints=(say("try_again_later"), hint))

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from capture2vr.gateway.database.full_disk import is_disk_full
 from capture2vr.gateway.errors import Problem
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store
 
 _log = logging.getLogger(__name__)
@@ -39,7 +40,7 @@ def put_private(store: Store, name: str, data: bytes | Path, content_type: str) 
     except OSError as error:
         if is_disk_full(error):
             raise
-        detail = "the capture could not be written to the store"
+        detail = say("capture_could_not_be_written")
         raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
 
 
@@ -55,8 +56,8 @@ def receipt_name(capture: str) -> str:
 
 def unknown_capture(capture: str) -> Problem:
     """Return the problem for a capture that is not stored."""
-    hints = ("upload it first, with POST /v1/captures",)
-    return Problem(404, "CAPTURE_UNKNOWN", f"there is no capture '{capture}'", hints=hints)
+    hints = (say("upload_first_with_post_v1"),)
+    return Problem(404, "CAPTURE_UNKNOWN", say("no_capture", capture=capture), hints=hints)
 
 
 def list_captures(
@@ -102,8 +103,8 @@ def read_receipt(store: Store, parse: Callable[[dict[str, Any]], _T], capture: s
     except FileNotFoundError:  # deleted meanwhile
         raise unknown_capture(capture) from None
     except ValueError:
-        hints = ("delete the capture, and upload it again",)
-        raise Problem(503, "CAPTURE_DAMAGED", f"the receipt of '{capture}' is damaged", hints=hints) from None
+        hints = (say("delete_capture_upload_again"),)
+        raise Problem(503, "CAPTURE_DAMAGED", say("receipt_damaged", capture=capture), hints=hints) from None
 
 
 def _read_receipt(store: Store, capture: str) -> dict[str, Any]:

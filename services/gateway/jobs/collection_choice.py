@@ -6,6 +6,7 @@ import json
 
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.jobs.capture_objects import receipt_name
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.entry import read_entry, valid_key
 from capture2vr.storage.store import Store
 
@@ -13,7 +14,7 @@ from capture2vr.storage.store import Store
 def require_collection(name: str, hint: str) -> str:
     """Return the name unchanged. Raises Problem COLLECTION_INVALID for an invalid name."""
     if not valid_key(name):
-        detail = "a collection's name must have 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
+        detail = say("collection_name_must_have_1")
         raise Problem(422, "COLLECTION_INVALID", detail, hints=(hint,))
     return name
 
@@ -26,15 +27,17 @@ def choose_collection(store: Store, *, named: str, capture: str, key: str) -> st
     OSError.
     """
     if named:
-        require_collection(named, "change `collection`, or leave it empty")
+        require_collection(named, say("change_collection_leave_empty"))
     collection = named or _upload_collection(store, capture)
     try:
         listed_in = read_entry(store, key).collections
     except FileNotFoundError:
         return collection
     if collection and collection not in listed_in:
-        detail = f"an asset with the key {key} exists already, in collection {listed_in[0]}, not in {collection}"
-        raise Problem(409, "KEY_ELSEWHERE", detail, hints=("choose another key", f"or use collection {listed_in[0]}"))
+        detail = say("asset_with_key_exists_already", key=key, found=listed_in[0], wanted=collection)
+        raise Problem(
+            409, "KEY_ELSEWHERE", detail, hints=(say("choose_another_key"), say("use_collection", name=listed_in[0]))
+        )
     return collection or listed_in[0]
 
 

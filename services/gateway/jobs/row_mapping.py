@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -9,6 +10,8 @@ import sqlalchemy as sa
 
 from capture2vr.gateway.jobs.job import Event, Job, Lease, Order, State
 from capture2vr.gateway.jobs.tables import events, jobs, leases
+from capture2vr.sentences.documents import with_codes, with_sentences
+from capture2vr.sentences.sentence import Sentence, read_sentence
 
 WHOLE_JOB = sa.select(jobs, *[column.label(f"lease_{column.name}") for column in leases.c]).join(leases)
 """SELECT of a job joined with its lease: all columns of a Job."""
@@ -26,7 +29,8 @@ def job_from_row(row: sa.Row[Any]) -> Job:
             **values,
             "order": Order.of(values["order"]),
             "state": State(values["state"]),
-            "warnings": tuple(values["warnings"]),
+            "warnings": tuple(_coded(each) for each in values["warnings"]),
+            "error": with_sentences(values["error"]),
             "lease": Lease(**lease),
         }
     )
@@ -39,7 +43,8 @@ def job_values(job: Job) -> dict[str, Any]:
         **values,
         "order": job.order.as_json,
         "state": job.state.value,
-        "warnings": list(job.warnings),
+        "warnings": [_stored(each) for each in job.warnings],
+        "error": with_codes(job.error),
     }
 
 
@@ -50,9 +55,19 @@ def lease_values(job: Job) -> dict[str, Any]:
 
 def event_from_row(row: sa.Row[Any]) -> Event:
     """Convert a row of `events` to an Event."""
-    return Event(row.job, row.seq, row.kind, row.at, row.data)
+    return Event(row.job, row.seq, row.kind, row.at, with_sentences(row.data))
 
 
 def event_values(event: Event) -> dict[str, Any]:
     """Return the event's column values for the table `events`."""
-    return {column.name: getattr(event, column.name) for column in events.c if column.name != "id"}
+    values = {column.name: getattr(event, column.name) for column in events.c if column.name != "id"}
+    return {**values, "data": with_codes(event.data)}
+
+
+def _stored(warning: str) -> str | dict[str, Any]:
+    """Return a warning as the column has it: with its code if it has one; those of older gateways are texts."""
+    return {"text": warning.english, **warning.coded} if isinstance(warning, Sentence) else warning
+
+
+def _coded(stored: str | Mapping[str, Any]) -> str:
+    return stored if isinstance(stored, str) else read_sentence(str(stored.get("text", "")), stored)

@@ -29,6 +29,7 @@ from capture2vr.gateway.jobs.reports import (
     RunProgress,
     VersionPublished,
 )
+from capture2vr.sentences.sentence import say
 
 NEXT_STATES: dict[State, frozenset[State]] = {
     State.QUEUED: frozenset({State.RUNNING, State.CANCELLED}),
@@ -169,7 +170,7 @@ def _apply_report(job: Job, report: Report, now: float, retry: Retry) -> Change:
 def _apply_finished(job: Job, report: RunFinished, now: float) -> Change:
     asset = job.asset or job.preview
     if asset is None:
-        nothing = RunFailed(report.seq, "NOTHING_PUBLISHED", "the worker finished without publishing an asset")
+        nothing = RunFailed(report.seq, "NOTHING_PUBLISHED", say("worker_finished_without_publishing_asset"))
         return _apply_failed(job, nothing, now, Retry(attempts=0, pause_s=0.0))
     job = replace(job, asset=asset, warnings=report.warnings, seconds=dict(report.seconds), fraction=1.0, eta_s=0.0)
     return _change_state(replace(job, lease=_free_lease(job.lease)), State.SUCCEEDED, now)
@@ -189,7 +190,7 @@ def _fail(job: Job, why: Problem, now: float) -> Change:
     """Mark the job as FAILED. If a preview was published it stays, and a hint in the error says so."""
     error = why.document()
     if job.preview is not None:
-        error["hints"] = [*error["hints"], f"the preview stays available as version {job.preview['version']}"]
+        error["hints"] = [*error["hints"], say("preview_stays_available_as_version", version=job.preview["version"])]
     return _change_state(replace(job, lease=_free_lease(job.lease), error=error), State.FAILED, now)
 
 

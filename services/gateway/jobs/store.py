@@ -44,6 +44,7 @@ from capture2vr.gateway.jobs.state_machine import RUNNING_STATES, Change, create
 from capture2vr.gateway.jobs.tables import events, idempotency, jobs, leases, queue_turns
 from capture2vr.gateway.jobs.webhook_events import webhook_events
 from capture2vr.gateway.webhooks.outbox import enqueue, new_messages
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
@@ -375,18 +376,18 @@ def _check_limits(db: Connection, tenant: str, at_once: int, per_day: int) -> No
     if at_once:
         active = sa.and_(mine, jobs.c.state.not_in(_TERMINAL))
         if db.execute(sa.select(sa.func.count()).where(active)).scalar_one() >= at_once:
-            raise _jobs_limited(f"{at_once:,} jobs wait or run already, as many as are allowed at once", _BUSY_RETRY_S)
+            raise _jobs_limited(say("jobs_wait_run_already", count=at_once), _BUSY_RETRY_S)
     if per_day:
         now = time.time()
         recent = sa.select(jobs.c.created).where(mine, jobs.c.created > now - _DAY_S)
         times = db.execute(recent.order_by(jobs.c.created.desc()).limit(per_day)).scalars().all()
         if len(times) == per_day:
             wait_s = math.ceil(times[-1] + _DAY_S - now)
-            raise _jobs_limited(f"{per_day:,} jobs were created within a day, as many as are allowed", wait_s)
+            raise _jobs_limited(say("jobs_created_within_day", count=per_day), wait_s)
 
 
 def _jobs_limited(detail: str, retry_s: int) -> Problem:
-    hints = (f"try again in {retry_s:,} s", "ask the operator for more")
+    hints = (say("try_again_in_s", seconds=retry_s), say("ask_operator"))
     return Problem(429, "JOBS_LIMITED", detail, retryable=True, hints=hints, headers={"Retry-After": str(retry_s)})
 
 
@@ -398,7 +399,7 @@ def _get(db: Connection, select: sa.Select[Any], job: str) -> Job:
     # An invalid id is not queried: it comes from a URL, and Postgres refuses some characters in any text.
     row = db.execute(select.where(jobs.c.id == job)).first() if JOB_ID.fullmatch(job) else None
     if row is None:
-        raise Problem(404, "JOB_UNKNOWN", f"there is no job {job}", hints=("GET /v1/jobs lists them",))
+        raise Problem(404, "JOB_UNKNOWN", say("no_job", job=job), hints=("GET /v1/jobs lists them",))
     return job_from_row(row)
 
 

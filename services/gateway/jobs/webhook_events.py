@@ -8,6 +8,7 @@ from typing import Any
 from capture2vr.gateway.jobs import job as nouns
 from capture2vr.gateway.jobs.job import Job, State
 from capture2vr.gateway.webhooks.outbox import WebhookEvent
+from capture2vr.sentences.documents import with_codes
 
 _TOLD = {State.RUNNING, State.SUCCEEDED, State.FAILED, State.CANCELLED}
 
@@ -36,5 +37,5 @@ def _job_data(job: Job) -> dict[str, Any]:
         "capture": job.order.capture,
         "preset": job.order.options.preset,
         "asset": job.asset or job.preview,
-        "error": job.error,
+        "error": with_codes(job.error),
     }

@@ -14,6 +14,7 @@ from pathlib import PurePosixPath
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.jobs.capture_objects import capture_name
 from capture2vr.gateway.pictures.capture_pictures import with_archive
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store
 
 _TYPES = {
@@ -64,7 +65,7 @@ def find_film(store: Store, capture: str, kind: str, number: int) -> StoredFilm:
     def find(archive: zipfile.ZipFile) -> StoredFilm:
         films = films_in(archive, kind)
         if number >= len(films):
-            detail = f"the capture has {len(films):,} films, so there is none of number {number:,}"
+            detail = say("capture_has_films_so_none", count=len(films), number=number)
             raise Problem(404, "FILM_UNKNOWN", detail, hints=("number them from 0",))
         info = films[number]
         header = store.get(name, start=info.header_offset, length=_LOCAL_HEADER.size)

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.jobs.capture_objects import capture_name, unknown_capture
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store
 
 T = TypeVar("T")
@@ -34,7 +35,7 @@ def read_picture(store: Store, capture: str, kind: str, number: int) -> tuple[st
     def read(archive: zipfile.ZipFile) -> tuple[str, bytes]:
         names = pictures_in(archive, kind)
         if number >= len(names):
-            detail = f"the capture has {len(names):,} pictures, so there is none of number {number:,}"
+            detail = say("capture_has_pictures_so_none", count=len(names), number=number)
             raise Problem(404, "PICTURE_UNKNOWN", detail, hints=("number them from 0",))
         return names[number], archive.read(names[number])
 
@@ -77,8 +78,8 @@ def with_archive(store: Store, capture: str, read: Callable[[zipfile.ZipFile], T
             raise unknown_capture(capture) from None
         if stored.fault is not None:
             raise stored.fault from None
-        hints = ("delete the capture, and upload it again",)
-        raise Problem(503, "CAPTURE_DAMAGED", f"the files of '{capture}' are damaged", hints=hints) from None
+        hints = (say("delete_capture_upload_again"),)
+        raise Problem(503, "CAPTURE_DAMAGED", say("files_damaged", capture=capture), hints=hints) from None
 
 
 class _ObjectReader(io.RawIOBase):

@@ -13,6 +13,7 @@ from capture2vr.gateway.database.full_disk import is_disk_full
 from capture2vr.gateway.errors import Problem, storage_full
 from capture2vr.gateway.forked_talk import talk
 from capture2vr.process.fork_client import ForkServer
+from capture2vr.sentences.sentence import say
 
 _AT_ONCE = 2  # photos, each with up to 768 MB; and with its bytes here, up to 128 MB
 
@@ -53,7 +54,7 @@ class PictureProcesses:
         if "full" in said:
             raise storage_full()
         if "jpeg" not in said or said.get("ended") != 0:
-            reason = said.get("unreadable", "its decoder crashed, or took too long")
-            detail = f"it cannot be shown: {reason}"
-            raise Problem(422, "PICTURE_UNREADABLE", detail, file=name, hints=("choose another photo",))
+            reason = said.get("unreadable", say("decoder_crashed_took_too_long"))
+            detail = say("cannot_be_shown", reason=reason)
+            raise Problem(422, "PICTURE_UNREADABLE", detail, file=name, hints=(say("choose_another_photo"),))
         return await asyncio.to_thread(target.read_bytes)

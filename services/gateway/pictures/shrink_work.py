@@ -15,6 +15,7 @@ from capture2vr.gateway.database.full_disk import is_disk_full
 from capture2vr.gateway.uploads.image_checks import MAX_PIXELS, load_pillow
 from capture2vr.gateway.uploads.process_limits import limit_process
 from capture2vr.process.fork_server import Send
+from capture2vr.sentences.sentence import say
 
 LONGEST_PX = 1024
 """Longer side of what is sent: enough to draw a line within a pixel of a phone's screen; 140 to 400 KB."""
@@ -44,11 +45,11 @@ def work(order: dict[str, Any], send: Send) -> None:
     try:
         picture = shrink(Path(order["source"]))
     except UnidentifiedImageError:  # its text names our file
-        send({"unreadable": "this is not an image that can be read"})
+        send({"unreadable": say("not_image_can_be_read")})
     except MemoryError:
-        send({"unreadable": "decoding it takes too much memory"})
+        send({"unreadable": say("decoding_takes_too_much_memory")})
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged files
-        send({"unreadable": f"the image is damaged: {error}"})
+        send({"unreadable": say("image_damaged", error=error)})
     else:
         _write(picture, order["target"], send)
 
@@ -68,7 +69,7 @@ def shrink(path: Path) -> Image.Image:
     """Return the upright photo, at most `LONGEST_PX` long. Raises what Pillow does: anything, for a damaged one."""
     with load_pillow().open(path, formats=(*_TURNED_BY_TAG, "TIFF", "HEIF")) as image:
         if image.width * image.height > MAX_PIXELS:
-            raise ValueError(f"it has more than {MAX_PIXELS // 1_000_000} megapixels")
+            raise ValueError(say("has_more_than_megapixels", most=MAX_PIXELS // 1000000))
         if image.format == "JPEG":
             image.draft("RGB", (2 * LONGEST_PX, 2 * LONGEST_PX))
         turn = _TURNS.get(_orientation(image)) if image.format in _TURNED_BY_TAG else None

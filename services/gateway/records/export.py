@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from capture2vr.gateway.jobs.job import Job
+from capture2vr.sentences.documents import with_codes
 from capture2vr.storage.store import Head, Store, list_all
 from capture2vr.storage.tenant_store import FOLDER
 
@@ -78,7 +79,7 @@ def _jobs_document(read_jobs: Callable[[str, int], list[Job]]) -> bytes:
     documents: list[dict[str, Any]] = []
     after = ""
     while jobs := read_jobs(after, _JOBS_AT_ONCE):
-        documents += [_job_document(job) for job in jobs]
+        documents += [with_codes(_job_document(job)) for job in jobs]
         after = jobs[-1].id
     return json.dumps({"jobs": documents}, ensure_ascii=False, indent=1).encode()
 

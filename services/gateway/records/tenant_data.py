@@ -28,6 +28,7 @@ from capture2vr.gateway.records.deletions import Deletion, DeletionStore, receip
 from capture2vr.gateway.resumable.store import UploadStore
 from capture2vr.gateway.webhooks.deliveries import Deliveries
 from capture2vr.gateway.webhooks.outbox import Outbox, WebhookEvent
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.deletion import DeletedObject, delete_asset, delete_everything
 from capture2vr.storage.catalogue.entry import list_keys, read_entry
 from capture2vr.storage.catalogue.signing import Keys
@@ -79,7 +80,7 @@ class TenantData:
         """
         using = await self.job_store.read(JobStore.unfinished, tenant, asset_key=key)
         if using:
-            raise _in_use("ASSET_IN_USE", f"the asset {key}", using)
+            raise _in_use("ASSET_IN_USE", say("the_asset_key", key=key), using)
         own = store_of_tenant(self.store, tenant)
         await self._run(lambda: self.shares.revoke_all(tenant, Thing(tenant, "asset", key)))
         deleted = await asyncio.to_thread(delete_asset, own, key, self.keys)
@@ -221,5 +222,5 @@ def _seconds(iso: str) -> float:
 
 
 def _in_use(code: str, what: str, jobs: list[str]) -> Problem:
-    detail = f"jobs that may still write {what} have not ended ({len(jobs)}): {', '.join(jobs[:3])}"
-    return Problem(409, code, detail, hints=("cancel, or wait for the end, then delete again",))
+    detail = say("jobs_may_still_write", what=what, count=len(jobs), names=", ".join(jobs[:3]))
+    return Problem(409, code, detail, hints=(say("cancel_wait_end_then_delete"),))

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Sequence
 
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.resumable.store import Chunk
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store, list_all
 
 CHUNK_BYTES = 8 << 20
@@ -42,7 +43,7 @@ def _read(store: Store, name: str, start: int, length: int) -> bytes:
     except FileNotFoundError:
         raise _damaged() from None
     except OSError as error:
-        raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
+        raise Problem(503, "STORE_UNAVAILABLE", say("store_does_not_answer"), retryable=True) from error
     if len(data) != length:
         raise _damaged()
     return data
@@ -53,5 +54,5 @@ def _prefix(upload: str) -> str:
 
 
 def _damaged() -> Problem:
-    hints = ("delete this upload, and send the file again",)
-    return Problem(409, "UPLOAD_DAMAGED", "the store has lost a part of this upload", hints=hints)
+    hints = (say("delete_upload_send_file_again"),)
+    return Problem(409, "UPLOAD_DAMAGED", say("store_has_lost_part_upload"), hints=hints)

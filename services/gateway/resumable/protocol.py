@@ -19,6 +19,7 @@ from starlette.datastructures import Headers
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.resumable.store import Upload
 from capture2vr.order.one_line import one_line
+from capture2vr.sentences.sentence import say
 
 VERSION = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,termination,checksum,expiration"
@@ -69,7 +70,7 @@ class Checksum:
     def check(self, digest: bytes) -> None:
         """Raises Problem UPLOAD_CHECKSUM where the body has another one."""
         if digest != self.digest:
-            detail = f"the body's {self.algorithm} is not the one in Upload-Checksum: nothing of it was kept"
+            detail = say("body_not_one_in_upload", algorithm=self.algorithm)
             title = "Checksum Mismatch"
             raise Problem(_CHECKSUM_MISMATCH, "UPLOAD_CHECKSUM", detail, retryable=True).titled(title)
 

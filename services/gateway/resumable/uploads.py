@@ -24,6 +24,7 @@ from capture2vr.gateway.resumable.chunk_objects import CHUNK_BYTES, chunk_name, 
 from capture2vr.gateway.resumable.protocol import MEDIA_TYPE, Checksum
 from capture2vr.gateway.resumable.store import LEASE_S, Chunk, Upload, UploadStore
 from capture2vr.gateway.uploads.receive import UploadBody
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store
 
 _THREADS = 3  # that write chunks: more would take the cores from other requests, and send no faster
@@ -81,8 +82,8 @@ class ResumableUploads:
         """Return a tenant's upload. Raises Problem UPLOAD_UNKNOWN."""
         found = await self.run(lambda: self.database.get(tenant, upload, time.time()))
         if found is None:
-            hints = ("it may have expired: begin a new one with POST /v1/uploads",)
-            raise Problem(404, "UPLOAD_UNKNOWN", f"there is no upload '{upload}'", hints=hints)
+            hints = (say("may_have_expired_begin_new"),)
+            raise Problem(404, "UPLOAD_UNKNOWN", say("no_upload", upload=upload), hints=hints)
         return found
 
     async def append(self, upload: Upload, part: Part, store: Store) -> Upload:
@@ -93,7 +94,7 @@ class ResumableUploads:
         """
         writer = secrets.token_hex(8)
         if not await self.run(lambda: self.database.take_over(upload, writer)):
-            raise _locked("it was continued by another request meanwhile")
+            raise _locked(say("continued_by_another_request_meanwhile"))
         receiver = _Receiver(self, upload, writer, part, store)
         try:
             await receiver.receive()
@@ -118,12 +119,12 @@ class ResumableUploads:
         Raises Problem UPLOAD_INCOMPLETE, UPLOAD_LOCKED.
         """
         if upload.received < upload.length:
-            detail = f"{upload.received:,} of {upload.length:,} bytes of the upload have arrived"
-            raise Problem(409, "UPLOAD_INCOMPLETE", detail, hints=("send the rest first",))
+            detail = say("bytes_upload_have_arrived", received=upload.received, length=upload.length)
+            raise Problem(409, "UPLOAD_INCOMPLETE", detail, hints=(say("send_rest_first"),))
         finisher, capture = secrets.token_hex(8), new_capture()
         held = await self.run(lambda: self.database.lease(upload, finisher, capture, time.time()))
         if held is None:
-            raise _locked("its capture is being made")
+            raise _locked(say("capture_being_made"))
         renewing = asyncio.create_task(self._renew(upload.id, finisher))
         try:
             yield held
@@ -134,7 +135,7 @@ class ResumableUploads:
     async def remove(self, upload: Upload, store: Store) -> None:
         """Remove an upload and its bytes for good; a capture that it became stays. Raises Problem UPLOAD_LOCKED."""
         if not await self.run(lambda: self.database.remove(upload, time.time())):
-            raise _locked("its capture is being made")
+            raise _locked(say("capture_being_made"))
         await self.discard_capture(upload, store)
         await self.sweep(upload, store)
 
@@ -259,7 +260,7 @@ class _Receiver:
         database, expires = self._uploads.database, self._uploads.expiry()
         if not await self._uploads.run(lambda: database.append(self._upload.id, chunks, expires)):
             self._held = chunks
-            raise _locked("it was continued by another request meanwhile")
+            raise _locked(say("continued_by_another_request_meanwhile"))
         await self._part.on_stored(sum(chunk.length for chunk in chunks))
 
 
@@ -271,11 +272,11 @@ def content_of(metadata: Mapping[str, str]) -> tuple[str, str]:
 
 def too_long(length: int) -> Problem:
     """Return the problem for more bytes than an upload was created for, which is `length`."""
-    detail = f"the upload has {length:,} bytes, and this is more"
+    detail = say("upload_has_bytes", length=length)
     return Problem(413, "UPLOAD_TOO_LONG", detail, hints=("ask with HEAD how far it is, and send the rest alone",))
 
 
 def _locked(why: str) -> Problem:
-    hints = ("ask with HEAD how far it is, and go on from there",)
-    detail = f"the upload cannot be changed now: {why}"
+    hints = (say("ask_with_head_how_far"),)
+    detail = say("upload_cannot_be_changed_now", why=why)
     return Problem(423, "UPLOAD_LOCKED", detail, retryable=True, hints=hints, headers={"Retry-After": "2"})

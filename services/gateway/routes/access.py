@@ -11,7 +11,7 @@ from urllib.parse import urljoin
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from capture2vr.gateway.access.api_key import ApiKey
+from capture2vr.gateway.access.api_key import ENDED, ApiKey
 from capture2vr.gateway.access.authentication import Authentication
 from capture2vr.gateway.access.caller import Caller, Scope, scope_names
 from capture2vr.gateway.access.pairing import Pairing
@@ -28,6 +28,7 @@ from capture2vr.gateway.routes.access_rules import (
 )
 from capture2vr.gateway.routes.store_access import gateway_url
 from capture2vr.gateway.schemas import Label, StrictBody, TenantName, problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 router = APIRouter(prefix="/v1", tags=["access"])
@@ -193,7 +194,7 @@ async def get_pairing(pairing: PairingId, request: Request, gateway: GatewayOf) 
     authentication, tenant = gateway.access.authentication, caller_of(request).tenant
     found = await authentication.run(lambda: authentication.store.pairing(pairing, tenant))
     if found is None:
-        raise Problem(404, "PAIRING_UNKNOWN", f"there is no pairing {pairing}", hints=("start a new one",))
+        raise Problem(404, "PAIRING_UNKNOWN", say("no_pairing", pairing=pairing), hints=(say("start_new"),))
     return PairingView(**_pairing_fields(found))
 
 
@@ -203,14 +204,14 @@ async def get_pairing(pairing: PairingId, request: Request, gateway: GatewayOf) 
 async def claim_pairing(body: ClaimRequest, request: Request, gateway: GatewayOf, response: Response) -> SessionView:
     """Log this device in by a pairing's token or code. Each works once, for a few minutes."""
     if bool(body.token) == bool(body.code):
-        raise Problem(422, "REQUEST_INVALID", "send either `token` or `code`", hints=("open the link again",))
+        raise Problem(422, "REQUEST_INVALID", "send either `token` or `code`", hints=(say("open_link_again"),))
     authentication = gateway.access.authentication
     if body.code:
         gateway.access.code_guesses.spend(request)
     claimed = await authentication.run(lambda: authentication.store.claim_pairing(token=body.token, code=body.code))
     if claimed is None:
-        detail = "this code is wrong, or was used, or has expired"
-        raise Problem(404, "PAIRING_UNKNOWN", detail, hints=("show a new code on the other screen",))
+        detail = say("code_wrong_used_has_expired")
+        raise Problem(404, "PAIRING_UNKNOWN", detail, hints=(say("show_new_code_on_other"),))
     key, _ = claimed
     return SessionView.of(await _set_session(key, request, response))
 
@@ -229,7 +230,7 @@ async def create_key(body: KeyRequest, request: Request, gateway: GatewayOf) -> 
     tenant = _tenant_for(caller, body.tenant)
     _require_own_scopes(caller, body.scopes)
     if await authentication.run(lambda: authentication.store.tenant(tenant)) is None:
-        raise Problem(404, "TENANT_UNKNOWN", f"there is no tenant {tenant}", hints=("POST /v1/tenants creates it",))
+        raise Problem(404, "TENANT_UNKNOWN", say("no_tenant", tenant=tenant), hints=("POST /v1/tenants creates it",))
     wanted = time.time() + body.expires_days * _DAY_S if body.expires_days else None
     expires = await _latest(authentication, caller, wanted)
     return await _new_key(authentication, tenant, body.scopes, body.label, expires)
@@ -290,7 +291,9 @@ async def rotate_key(key: KeyId, body: RotationRequest, request: Request, gatewa
         raise _unknown_key(key)
     _require_own_scopes(caller, old.scopes)
     if why := old.refusal(time.time()):
-        raise Problem(409, f"KEY_{why.upper()}", f"the key {key} is {why}", hints=("create a new key",))
+        raise Problem(
+            409, f"KEY_{why.upper()}", say("key_has_ended", key=key, why=ENDED[why]), hints=(say("create_new_key"),)
+        )
     expires = await _latest(authentication, caller, old.expires)
     new = await _new_key(authentication, old.tenant, old.scopes, old.label, expires)
     await authentication.run(lambda: store.expire_key(key, old.tenant, time.time() + body.grace_days * _DAY_S))
@@ -338,7 +341,7 @@ def _tenant_for(caller: Caller, wanted: str | None) -> str:
     """Return the tenant that a caller names, or its own. Raises Problem for another's, unless the caller operates."""
     if wanted is None or wanted == caller.tenant or Scope.OPERATE in caller.scopes:
         return wanted or caller.tenant
-    detail = "another tenant's keys are for callers with the scope operate"
+    detail = say("another_tenant_keys_callers")
     raise Problem(403, "SCOPE_MISSING", detail, hints=("leave `tenant` out",))
 
 
@@ -352,19 +355,19 @@ def _require_own_scopes(caller: Caller, scopes: Iterable[Scope]) -> None:
     if Scope.OPERATE in caller.scopes:
         return
     if beyond := set(scopes) - caller.scopes:
-        detail = f"a new key cannot have the scope {', '.join(scope_names(beyond))}, which yours has not"
-        raise Problem(403, "SCOPE_MISSING", detail, hints=("ask for fewer scopes",))
+        detail = say("new_key_cannot_have_scope", scope=", ".join(scope_names(beyond)))
+        raise Problem(403, "SCOPE_MISSING", detail, hints=(say("ask_fewer_scopes"),))
 
 
 def _require_keys(caller: Caller) -> None:
     """Raises Problem at a gateway that is open: the first key closes it, and must not be lost in an answer."""
     if caller.via == "open":
-        detail = "this gateway asks for no keys yet; the first key is created on its machine, and closes it"
+        detail = say("gateway_asks_no_keys_yet")
         raise Problem(409, "GATEWAY_OPEN", detail, hints=("run `capture2vr keys create` there",))
 
 
 def _unknown_key(key: str) -> Problem:
-    return Problem(404, "KEY_ID_UNKNOWN", f"there is no access key {key}", hints=("GET /v1/api-keys lists them",))
+    return Problem(404, "KEY_ID_UNKNOWN", say("no_access_key", key=key), hints=("GET /v1/api-keys lists them",))
 
 
 def _key_fields(key: ApiKey) -> dict[str, Any]:

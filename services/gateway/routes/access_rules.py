@@ -18,6 +18,7 @@ from capture2vr.gateway.access.limits import TenantLimits
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import gateway_of
 from capture2vr.gateway.schemas import problems
+from capture2vr.sentences.sentence import say
 
 SESSION_COOKIE = "c2v_session"
 TENANT_COOKIE = "c2v_tenant"
@@ -101,7 +102,7 @@ def _rule_of(route: APIRoute) -> Rule | None:
 def missing_scope(caller: Caller, scopes: frozenset[Scope]) -> Problem:
     """Return the problem for a caller without any of these scopes."""
     if caller.via == "anonymous":
-        return refused("KEY_MISSING", "this needs an access key", "log in at /login, or send Authorization: Bearer KEY")
+        return refused("KEY_MISSING", say("needs_access_key"), say("log_in_login_send_authorization"))
     wanted = " or ".join(scope_names(scopes))
-    detail = f"this needs the scope {wanted}; the access key has {', '.join(scope_names(caller.scopes)) or 'none'}"
-    return Problem(403, "SCOPE_MISSING", detail, hints=("use a key with that scope",))
+    detail = say("needs_scope_access_key", wanted=wanted, scopes=", ".join(scope_names(caller.scopes)) or "none")
+    return Problem(403, "SCOPE_MISSING", detail, hints=(say("use_key_with_scope"),))

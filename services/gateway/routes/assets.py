@@ -24,6 +24,7 @@ from capture2vr.gateway.routes.read_rules import READS_ASSET, Reading, reading_o
 from capture2vr.gateway.routes.store_access import gateway_url, in_thread, object_url, page_path, store_of
 from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.webhooks.outbox import WebhookEvent
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
 from capture2vr.storage.catalogue.faults import CatalogueFault
 from capture2vr.storage.catalogue.removal import remove, restore
@@ -124,8 +125,10 @@ async def get_level_of_detail(key: Key, level: Annotated[int, Path(ge=0, le=99)]
     name = next((each["name"] for each in levels if each["level"] == level), None)
     if name is None:
         known = ", ".join(str(each["level"]) for each in levels)
-        hints = (f"ask for one of: {known}",)
-        raise Problem(404, "LOD_UNKNOWN", f"asset {key} has no level of detail {level}; it has {known}", hints=hints)
+        hints = (say("ask_one", names=known),)
+        raise Problem(
+            404, "LOD_UNKNOWN", say("asset_has_no_level_detail", key=key, level=level, known=known), hints=hints
+        )
     reading = reading_of(request)
     headers = {"Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers}
     return RedirectResponse(object_url(request, name), 307, headers)
@@ -202,7 +205,7 @@ async def read_asset(request: Request, key: str) -> Entry:
     if found.removed:
         hints = (f"POST /v1/assets/{key}/restore restores it",)
         raise Problem(
-            410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=reading_of(request).cors_headers
+            410, "ASSET_REMOVED", say("asset_removed", key=key), hints=hints, headers=reading_of(request).cors_headers
         )
     return found
 
@@ -234,16 +237,16 @@ async def _tell_webhooks(request: Request, found: Entry) -> None:
 def check_key(key: str) -> None:
     """Raises Problem KEY_INVALID."""
     if not valid_key(key):
-        detail = "an asset key must have 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
-        raise Problem(422, "KEY_INVALID", detail, hints=("check the key in the URL",))
+        detail = say("asset_key_must_have_1")
+        raise Problem(422, "KEY_INVALID", detail, hints=(say("check_key_in_url"),))
 
 
 def _check_collection(found: Entry, collection: str) -> None:
     """Raises Problem where the asset is not in this collection: another collection may have an asset with this key."""
-    require_collection(collection, "change `collection`, or leave it out")
+    require_collection(collection, say("change_collection_leave"))
     if collection not in found.collections:
-        detail = f"there is no asset {found.key} in collection {collection}"
-        raise Problem(404, "ASSET_UNKNOWN", detail, hints=(f"this asset is in: {', '.join(found.collections)}",))
+        detail = say("no_asset_in_collection", key=found.key, collection=collection)
+        raise Problem(404, "ASSET_UNKNOWN", detail, hints=(say("asset_in", names=", ".join(found.collections)),))
 
 
 def _entries(store: Store, after: str, limit: int) -> tuple[list[Entry], list[str]]:

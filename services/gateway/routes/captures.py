@@ -26,11 +26,14 @@ from capture2vr.gateway.jobs.capture_objects import (
     unknown_capture,
 )
 from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.languages import for_reader
 from capture2vr.gateway.photo_boxes import BoxQuery, parse_box
 from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
 from capture2vr.gateway.routes.store_access import in_thread, store_of
-from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.schemas import AllCoded, Coded, problems
 from capture2vr.gateway.uploads.receive import body_of
+from capture2vr.sentences.documents import with_sentences
+from capture2vr.sentences.sentence import say
 
 router = APIRouter(prefix="/v1", tags=["captures"])
 
@@ -60,6 +63,7 @@ class FileVerdict(BaseModel):
     sha256: str
     verdict: str
     stripped: list[str]
+    verdict_i18n: Coded = None
 
 
 class CaptureView(BaseModel):
@@ -104,7 +108,13 @@ class CaptureView(BaseModel):
     frames: int
     points: int
     warnings: list[str]
+    warnings_i18n: AllCoded = []
     files: list[FileVerdict]
+
+    @classmethod
+    def of(cls, receipt: dict[str, Any]) -> CaptureView:
+        """Convert a receipt, as it was made or as it is stored."""
+        return cls.model_validate(for_reader(with_sentences(receipt)))
 
 
 class CaptureSummary(BaseModel):
@@ -151,6 +161,7 @@ class OutlineView(BaseModel):
     kind: str
     outline: list[list[Annotated[list[float], Field(min_length=2, max_length=2)]]]
     warnings: list[str]
+    warnings_i18n: AllCoded = []
 
 
 _FORM = {
@@ -201,7 +212,7 @@ async def upload_capture(
         receipt = await uploads.accept(request, body, store, rectangle, allowance.check, new_capture(), continues)
         if caller.key:
             await usage.add(tenant, receipt["bytes"])
-    return CaptureView.model_validate(receipt)
+    return CaptureView.of(receipt)
 
 
 @router.post(
@@ -221,7 +232,7 @@ async def outline_photo(request: Request, gateway: GatewayOf, box: BoxQuery = ""
     allowance = Allowance(limits.capture_bytes)  # what is stored does not matter: this is not
     with gateway.access.limits.upload(tenant, limits.uploads_at_once):
         found = await gateway.captures.uploads.outline(request, parse_box(box), allowance.check)
-    return OutlineView.model_validate(found)
+    return OutlineView.model_validate(for_reader(found))
 
 
 @router.get("/captures", response_model=CapturePage, dependencies=[_LISTS], responses=problems(422, 503))
@@ -250,7 +261,7 @@ async def get_captures(
 async def get_capture(capture: CaptureId, request: Request) -> CaptureView:
     """Get a capture's receipt: the answer to its upload."""
     store = store_of(request)
-    return await in_thread(lambda: read_receipt(store, CaptureView.model_validate, capture))
+    return await in_thread(lambda: read_receipt(store, CaptureView.of, capture))
 
 
 @router.get(
@@ -267,7 +278,7 @@ async def download_capture(capture: CaptureId, request: Request) -> StreamingRes
     except (FileNotFoundError, ValueError):
         raise unknown_capture(capture) from None
     except OSError as error:
-        raise Problem(503, "STORE_UNAVAILABLE", "the store cannot be reached", retryable=True) from error
+        raise Problem(503, "STORE_UNAVAILABLE", say("store_cannot_be_reached"), retryable=True) from error
     headers = {"Content-Length": str(size), "Content-Disposition": f'attachment; filename="{capture}.zip"', **_PRIVATE}
     chunks = object_chunks(store, capture_name(capture), 0, size, _CHUNK_BYTES)
     return StreamingResponse(chunks, headers=headers, media_type="application/zip")
@@ -282,8 +293,8 @@ async def download_capture(capture: CaptureId, request: Request) -> StreamingRes
 async def remove_capture(capture: CaptureId, request: Request, gateway: GatewayOf) -> CaptureDeletionView:
     """Delete a capture for good. Assets that were made from it stay; no job can use it again."""
     if using := await gateway.job_store.read(JobStore.unfinished, caller_of(request).tenant, capture=capture):
-        detail = f"{len(using)} jobs that have not ended need the capture: {', '.join(using[:3])}"
-        raise Problem(409, "CAPTURE_IN_USE", detail, hints=("cancel these jobs, or wait for their end",))
+        detail = say("jobs_have_not_ended_need", count=len(using), names=", ".join(using[:3]))
+        raise Problem(409, "CAPTURE_IN_USE", detail, hints=(say("cancel_these_jobs_wait_their"),))
     store = store_of(request)
     freed = await in_thread(lambda: delete_capture(store, capture))
     if (caller := caller_of(request)).key:

@@ -22,6 +22,7 @@ from capture2vr.gateway.routes.http_ranges import etag_matches
 from capture2vr.gateway.routes.read_rules import READS_COLLECTION, reading_of, reads_tenant, unknown_collection
 from capture2vr.gateway.routes.store_access import in_thread, object_url, page_path, store_of
 from capture2vr.gateway.schemas import problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.collection import (
     Index,
     Row,
@@ -126,7 +127,7 @@ async def get_collection(name: Name, request: Request) -> Response:
 
     Answers 304 for an ETag in If-None-Match.
     """
-    require_collection(name, "check the name in the URL")
+    require_collection(name, say("check_name_in_url"))
     store = store_of(request)
     try:
         text, signatures = await in_thread(lambda: parse_envelope(store.get(index_name(name)), name))
@@ -151,7 +152,7 @@ async def get_collection(name: Name, request: Request) -> Response:
 )
 async def search_collection(name: Name, request: Request, search: Annotated[AssetSearch, Query()]) -> RowPage:
     """Search a collection's assets by label, state, date and size, without removed ones. Without any, list all."""
-    require_collection(name, "check the name in the URL")
+    require_collection(name, say("check_name_in_url"))
     if search.after and not valid_key(search.after):
         hints = ("use the `next` of the previous page",)
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
@@ -174,19 +175,21 @@ async def search_collection(name: Name, request: Request, search: Annotated[Asse
 )
 async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceView:
     """Get one asset of a collection, and the shard that lists it."""
-    require_collection(name, "check the name in the URL")
+    require_collection(name, say("check_name_in_url"))
     if not valid_key(key):
-        raise Problem(422, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
+        raise Problem(422, "KEY_INVALID", say("not_valid_asset_key"), hints=(say("check_key_in_url"),))
     load_rows = _load_rows_of(request)
 
     version, found = await _read(request, name, lambda index: (index.version, find_row(index, key, load_rows)))
     if found is None:
-        raise Problem(404, "ASSET_UNKNOWN", f"there is no asset {key} in collection {name}", hints=("check the key",))
+        raise Problem(
+            404, "ASSET_UNKNOWN", say("no_asset_in_collection", key=key, collection=name), hints=(say("check_key"),)
+        )
     shard, row = found
     if row.removed:
         hints = (f"POST /v1/assets/{key}/restore restores it",)
         raise Problem(
-            410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=reading_of(request).cors_headers
+            410, "ASSET_REMOVED", say("asset_removed", key=key), hints=hints, headers=reading_of(request).cors_headers
         )
     asset = _row_view(request, row)
     return PlaceView(collection=name, version=version, shard=object_url(request, shard.name), asset=asset)

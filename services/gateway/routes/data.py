@@ -22,6 +22,7 @@ from capture2vr.gateway.routes.assets import Key, check_key
 from capture2vr.gateway.routes.read_rules import unknown_asset
 from capture2vr.gateway.routes.store_access import in_thread, store_of, store_problems
 from capture2vr.gateway.schemas import StrictBody, TenantName, problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 router = APIRouter(prefix="/v1", tags=["data"])
@@ -149,7 +150,7 @@ async def delete_everything(body: EverythingRequest, request: Request, gateway: 
     tenant = caller_of(request).tenant
     if body.tenant != tenant:
         detail = f"this key is one of the tenant {tenant}, not of {body.tenant}"
-        raise Problem(422, "TENANT_MISMATCH", detail, hints=("name the tenant whose data shall go",))
+        raise Problem(422, "TENANT_MISMATCH", detail, hints=(say("name_tenant_whose_data_shall"),))
     with store_problems():
         return DeletionView.of(await gateway.records.data.delete_everything(tenant))
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import GatewayOf
+from capture2vr.gateway.languages import for_reader
 from capture2vr.gateway.routes.assets import Key, read_asset
 from capture2vr.gateway.routes.files import headers_alone
 from capture2vr.gateway.routes.read_rules import READS_ASSET, reading_of, reads_tenant
@@ -18,6 +19,7 @@ from capture2vr.gateway.routes.store_access import in_thread, object_url, store_
 from capture2vr.gateway.routes.versions import read_asset_version
 from capture2vr.gateway.schemas import problems
 from capture2vr.order.download_formats import FORMATS, DownloadFormat, formats_of
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download
 from capture2vr.storage.catalogue.entry import Entry
 from capture2vr.storage.store import NO_CACHE, Store, list_all
@@ -88,8 +90,8 @@ async def list_downloads(key: Key, request: Request, response: Response, version
         downloads=[
             DownloadView(
                 format=each.name,
-                title=each.title,
-                about=each.about,
+                title=for_reader(each.title),
+                about=for_reader(each.about),
                 file=each.file_name(key, version),
                 bytes=sizes.get(each.name),
                 url=_url(request, key, each, version),
@@ -138,8 +140,8 @@ async def _read_version(request: Request, key: str, version: int | None) -> Entr
         return entry
     if reading_of(request).is_own:
         return await read_asset_version(request, key, version)
-    detail = f"asset {key} has no version {version} that you may read"
-    raise Problem(404, "VERSION_UNKNOWN", detail, hints=("leave `version` away for the current one",))
+    detail = say("asset_has_no_version_you", key=key, version=version)
+    raise Problem(404, "VERSION_UNKNOWN", detail, hints=(say("leave_version_away_current"),))
 
 
 def _headers(request: Request, version: int | None) -> dict[str, str]:
@@ -157,12 +159,12 @@ def _format_of(entry: Entry, name: str) -> DownloadFormat:
     if found:
         return found
     names = ", ".join(each.name for each in formats) or "none"
-    hints = (f"ask for one of: {names}",)
+    hints = (say("ask_one", names=names),)
     if name not in FORMATS:
-        detail = f"there is no format of this name; asset {entry.key} can be downloaded as {names}"
+        detail = say("no_format_name_asset", key=entry.key, names=names)
         raise Problem(422, "FORMAT_UNKNOWN", detail, hints=hints)
     missing = next(file for file in FORMATS[name].needs if file not in _bundle_files(entry))
-    detail = f"asset {entry.key} cannot be downloaded as {name}: it has no {missing}; it can be downloaded as {names}"
+    detail = say("asset_cannot_be_downloaded", key=entry.key, name=name, missing=missing, names=names)
     raise Problem(404, "FORMAT_UNAVAILABLE", detail, hints=hints)
 
 

@@ -20,6 +20,7 @@ from capture2vr.gateway.routes.http_ranges import etag_matches, take_range
 from capture2vr.gateway.routes.read_rules import READS_FILE, READS_FOLDER, Reading, reading_of, unknown_file
 from capture2vr.gateway.routes.store_access import in_thread
 from capture2vr.gateway.schemas import problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import hash_in_name
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.store import NO_CACHE, Head, PresigningStore, Store
@@ -137,7 +138,7 @@ def _is_intact(head: Head) -> bool:
 
 
 def _damaged_file(name: str, reading: Reading) -> Problem:
-    hints = ("publish the asset again, or restore the file from a backup",)
-    detail = "the stored file is not the one that was published"
+    hints = (say("publish_asset_again_restore_file"),)
+    detail = say("stored_file_not_one_published")
     headers = {"Cache-Control": NO_CACHE, **reading.cors_headers}
     return Problem(503, "FILE_DAMAGED", detail, file=pathlib.PurePosixPath(name).name, hints=hints, headers=headers)

@@ -25,6 +25,7 @@ from capture2vr.gateway.jobs.collection_choice import choose_collection
 from capture2vr.gateway.jobs.job import Event, Job, Order
 from capture2vr.gateway.jobs.state_machine import request_cancel
 from capture2vr.gateway.jobs.store import JOB_ID, JobStore
+from capture2vr.gateway.languages import for_reader
 from capture2vr.gateway.metrics import Metrics
 from capture2vr.gateway.photo_boxes import require_box
 from capture2vr.gateway.routes.access_rules import ANYONE, caller_of, limits_of, needs
@@ -41,6 +42,7 @@ from capture2vr.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, P
 from capture2vr.gateway.workers.worker_types import WorkerPreset
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.edits import InvalidEdits, json_schema
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.entry import read_entry, valid_key
 from capture2vr.storage.catalogue.faults import CatalogueFault
 from capture2vr.storage.store import Store
@@ -261,7 +263,7 @@ async def _event_stream(
 
 
 def _sse(event: Event) -> ServerSentEvent:
-    data = {"seq": event.seq, **event.data}
+    data = {"seq": event.seq, **for_reader(event.data)}
     return ServerSentEvent(json.dumps(data), event=event.kind, id=str(event.seq), retry=RECONNECT_MS)
 
 
@@ -282,8 +284,8 @@ async def _make_order(body: JobRequest, request: Request) -> Order:
         raise Problem(
             422,
             "KEY_INVALID",
-            "an asset key must have 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit",
-            hints=("put a name for people into `label`",),
+            say("asset_key_must_have_1"),
+            hints=(say("put_name_people_into_label"),),
         )
     require_box(body.box)
     preset = await _known_preset(body.preset or body.edits.preset, request)
@@ -299,8 +301,8 @@ def _require_edits(order: Order) -> None:
     try:
         order.options.edits.require_capture(order.capture)
     except InvalidEdits as error:
-        hints = ("the frame of another capture is another one: make the edits again", "or leave `capture` out of them")
-        raise Problem(422, "EDITS_OTHER_CAPTURE", f"edits: {error}", hints=hints) from None
+        hints = (say("frame_another_capture_another"), say("leave_capture_out_them"))
+        raise Problem(422, "EDITS_OTHER_CAPTURE", say("edits_what", what=error), hints=hints) from None
 
 
 def _names_of(store: Store, order: Order) -> AssetNames:
@@ -318,7 +320,7 @@ async def _require_capture(capture: str, request: Request) -> None:
     except (FileNotFoundError, ValueError):
         raise unknown_capture(capture) from None
     except OSError as error:
-        raise Problem(503, "STORE_UNAVAILABLE", "the store cannot be reached", retryable=True) from error
+        raise Problem(503, "STORE_UNAVAILABLE", say("store_cannot_be_reached"), retryable=True) from error
 
 
 async def _known_preset(preset: str, request: Request) -> str:
@@ -328,8 +330,8 @@ async def _known_preset(preset: str, request: Request) -> str:
         known = await _known_presets(request, refresh=True)  # a worker that started since then may offer more
     if preset and preset not in known:
         names = ", ".join(known)
-        detail = f"there is no preset '{preset}'; the presets are: {names}"
-        raise Problem(422, "PRESET_UNKNOWN", detail, hints=(f"use one of: {names}",))
+        detail = say("no_preset_presets", preset=preset, names=names)
+        raise Problem(422, "PRESET_UNKNOWN", detail, hints=(say("use_one", names=names),))
     return preset or next(iter(known))
 
 

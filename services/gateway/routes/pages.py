@@ -19,18 +19,18 @@ from starlette.types import Scope
 from capture2vr.gateway.browser_permissions import CAMERA_PAGE
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import GatewayOf, gateway_of
+from capture2vr.gateway.languages import LANGUAGES, preferred_language
 from capture2vr.gateway.page_modules import name_modules
-from capture2vr.gateway.page_texts import LANGUAGES, SERVER_TEXTS, TEXTS, preferred_language, translate_page
+from capture2vr.gateway.page_texts import TEXTS, WEB, sentences_address, stored_sentences, translate_page
 from capture2vr.gateway.routes.access_rules import ANYONE
 from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.entry import valid_key
 from capture2vr.storage.catalogue.scene import SCENE_ID
 from capture2vr.storage.store import PresigningStore, Store
 
 router = APIRouter(tags=["pages"])
-
-WEB = Path(__file__).parents[2] / "web"
 
 _INLINE_SCRIPT = re.compile(r"<script(?![^>]*\bsrc=|[^>]*application/json)[^>]*>(.*?)</script>", re.DOTALL)
 _VERSIONED = re.compile(r"-\d+\.\d+\.\d+\.")  # a file whose name has its version, such as three-0.187.0.module.js
@@ -117,7 +117,7 @@ async def view_asset(key: str, request: Request) -> Response:
 async def view_scene(scene: str, request: Request) -> Response:
     """The viewer page of an arrangement: its objects where they were put, for a screen or a headset."""
     if not re.fullmatch(SCENE_ID, scene):
-        raise Problem(404, "SCENE_INVALID", "this is not a valid scene id", hints=("check the id in the URL",))
+        raise Problem(404, "SCENE_INVALID", say("not_valid_scene_id"), hints=(say("check_id_in_url"),))
     return _page("viewer/view.html", request)
 
 
@@ -152,17 +152,31 @@ class Shell(BaseModel):
 
 
 @router.get("/web/shell.json", response_model=Shell, dependencies=[ANYONE])
-def list_shell(response: Response) -> Shell:
+def list_shell(request: Request, response: Response) -> Shell:
     """List the pages that open without the server, each for all of its kind, and all files that they load."""
     files = [path for path in sorted(WEB.rglob("*")) if path.suffix in _SHELL_SUFFIXES]
     files = [path for path in files if path.parent not in _ONLINE and not path.name.startswith(_ONLINE_LIBRARY)]
     digest = hashlib.sha256(b"".join(hashlib.sha256(_html(name).encode()).digest() for name in _SHELL_PAGES.values()))
-    for path in [*files, TEXTS, SERVER_TEXTS]:
+    for path in [*files, TEXTS]:
         found = path.stat()
         digest.update(_file_digest(path, found.st_mtime_ns, found.st_size))
-    response.headers["Cache-Control"] = "no-cache"
     addresses = [f"/web/{path.relative_to(WEB).as_posix()}" for path in files]
+    language = preferred_language(request.headers.get("accept-language", ""))
+    if language != LANGUAGES[0]:
+        addresses.append(sentences_address(language))
+        digest.update(addresses[-1].encode())
+    response.headers.update({"Cache-Control": "no-cache", "Vary": "Accept-Language"})
     return Shell(version=digest.hexdigest()[:16], files=[*_SHELL_PAGES, *addresses])
+
+
+@router.get("/web/sentences/{name}", response_class=Response, dependencies=[ANYONE], responses=problems(404))
+def stored_sentences_of(name: str) -> Response:
+    """Get what gateway and worker say, in the language that the name begins with, by the sentences' codes."""
+    language = name.partition("-")[0]
+    if language not in LANGUAGES[1:] or f"/web/sentences/{name}" != sentences_address(language):
+        raise HTTPException(404)
+    headers = {"Cache-Control": _IMMUTABLE}
+    return Response(stored_sentences(language), media_type="application/json", headers=headers)
 
 
 @lru_cache(maxsize=256)
@@ -173,13 +187,13 @@ def _file_digest(path: Path, modified_ns: int, size: int) -> bytes:
 
 def _check_collection(name: str) -> None:
     if not valid_key(name):
-        detail = "this is not a valid collection name"
-        raise Problem(404, "COLLECTION_INVALID", detail, hints=("check the name in the URL",))
+        detail = say("not_valid_collection_name")
+        raise Problem(404, "COLLECTION_INVALID", detail, hints=(say("check_name_in_url"),))
 
 
 def _check_keys(keys: list[str]) -> None:
     if not all(map(valid_key, keys)):
-        raise Problem(404, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
+        raise Problem(404, "KEY_INVALID", say("not_valid_asset_key"), hints=(say("check_key_in_url"),))
 
 
 class WebFiles(StaticFiles):

@@ -20,6 +20,7 @@ from capture2vr.gateway.access.sharing import SCHEME, ended
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import gateway_of
 from capture2vr.gateway.routes.access_rules import Rule, authenticate, caller_of, missing_scope
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.visibility import Visibility, is_open
 from capture2vr.storage.store import NO_CACHE
 from capture2vr.storage.tenant_store import TENANT_PATTERN, tenant_of
@@ -132,26 +133,26 @@ def reads_tenant(request: Request) -> str:
 
 def unknown_asset(key: str) -> Problem:
     """Return the problem for an asset that there is not, or not for this caller."""
-    hints = ("check the key", "its first job may still be running")
-    return Problem(404, "ASSET_UNKNOWN", f"there is no asset {key}", hints=hints)
+    hints = (say("check_key"), say("first_job_may_still"))
+    return Problem(404, "ASSET_UNKNOWN", say("no_asset", key=key), hints=hints)
 
 
 def unknown_collection(name: str) -> Problem:
     """Return the problem for a collection that there is not, or not for this caller."""
-    hints = ("check the name", "publishing its first asset creates it")
-    return Problem(404, "COLLECTION_UNKNOWN", f"there is no collection {name}", hints=hints)
+    hints = (say("check_name"), say("publishing_first_asset_creates"))
+    return Problem(404, "COLLECTION_UNKNOWN", say("no_collection", name=name), hints=hints)
 
 
 def unknown_scene(scene: str) -> Problem:
     """Return the problem for a scene that there is not, or not for this caller."""
-    hints = ("check the id", "it may have been deleted")
-    return Problem(404, "SCENE_UNKNOWN", f"there is no scene {scene}", hints=hints)
+    hints = (say("check_id"), say("may_have_been_deleted"))
+    return Problem(404, "SCENE_UNKNOWN", say("no_scene", scene=scene), hints=hints)
 
 
 def unknown_file(_: str = "") -> Problem:
     """Return the problem for a file that there is not, or not for this caller."""
     hints = ("GET /v1/assets/{key} lists the URLs of an asset's files",)
-    return Problem(404, "FILE_UNKNOWN", "there is no such file", hints=hints)
+    return Problem(404, "FILE_UNKNOWN", say("no_such_file"), hints=hints)
 
 
 def thing_of_file(name: str) -> Thing:

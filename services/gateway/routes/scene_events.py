@@ -36,6 +36,7 @@ from capture2vr.gateway.routes.store_access import store_problems
 from capture2vr.gateway.scenes.listener import Listener
 from capture2vr.gateway.scenes.moves import MovedItem, Moves
 from capture2vr.gateway.schemas import problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.scene import Scene
 
 router = APIRouter(prefix="/v1", tags=["scenes"])
@@ -81,7 +82,7 @@ async def follow_scene(
     await _read(reading.thing, request)  # an unknown scene is a 404, not an empty stream
     client = reading.by or (request.client.host if request.client else "")
     if news.streams_of(client) >= _MOST_STREAMS:
-        detail = f"{_MOST_STREAMS} event streams of scenes are open already, as many as are allowed at once"
+        detail = say("event_streams_scenes_open_already", count=_MOST_STREAMS)
         raise limited("STREAMS_LIMITED", detail, RETRY_S, hint="ask GET /v1/scenes/{scene} now and then instead")
     start = known_event(after, last_event_id)
     return stream_events(_event_stream(request, reading.thing, client, start), reading.cors_headers)

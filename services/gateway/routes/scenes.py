@@ -20,6 +20,7 @@ from capture2vr.gateway.routes.http_ranges import etag_matches
 from capture2vr.gateway.routes.read_rules import READS_SCENE, reading_of, unknown_scene
 from capture2vr.gateway.routes.store_access import in_thread, page_path, store_of
 from capture2vr.gateway.schemas import StrictBody, problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.scene import SCENE_ID, PlacedAsset, PlacedAssets, Scene, SceneName
 from capture2vr.storage.catalogue.scene_documents import (
     MOST_SCENES,
@@ -97,8 +98,8 @@ async def post_scene(body: SceneRequest, request: Request, response: Response) -
     try:
         scene = await in_thread(lambda: create_scene(store, body.name, body.items))
     except TooManyScenes:
-        hints = ("delete scenes that nobody needs",)
-        raise Problem(409, "SCENES_LIMITED", f"there are {MOST_SCENES:,} scenes already", hints=hints) from None
+        hints = (say("delete_scenes_nobody_needs"),)
+        raise Problem(409, "SCENES_LIMITED", say("scenes_already", count=MOST_SCENES), hints=hints) from None
     response.headers["Location"] = f"/v1/scenes/{scene.id}"
     response.headers["ETag"] = _etag(scene)
     return view_of(scene, request)
@@ -155,8 +156,8 @@ async def put_scene(
     except FileNotFoundError:
         raise unknown_scene(scene) from None
     except SceneChanged as other:
-        detail = f"somebody saved version {other.present.version} of this scene, and this was made from {version}"
-        hints = ("read the scene again, make the change in it, and save that",)
+        detail = say("somebody_saved_version_scene_made", version=other.present.version, earlier=version)
+        hints = (say("read_scene_again_make_change"),)
         raise Problem(412, "SCENE_CHANGED", detail, hints=hints, headers={"ETag": _etag(other.present)}) from None
     gateway.scenes.news.change(_thing(scene, request))
     response.headers["ETag"] = _etag(changed)
@@ -183,7 +184,7 @@ def _version_of(if_match: str) -> int:
     found = _ETAG.fullmatch(if_match.strip())
     if found is None:
         hints = ('send the ETag of GET /v1/scenes/{scene}, such as If-Match: "3"',)
-        raise Problem(428, "SCENE_VERSION_MISSING", "say which version of the scene was changed", hints=hints)
+        raise Problem(428, "SCENE_VERSION_MISSING", say("say_version_scene_changed"), hints=hints)
     return int(found[1])
 
 

@@ -23,6 +23,7 @@ from capture2vr.gateway.routes.access_rules import ANYONE, caller_of, needs
 from capture2vr.gateway.routes.read_rules import unknown_asset, unknown_collection, unknown_scene
 from capture2vr.gateway.routes.store_access import gateway_url, in_thread, path_of_tenant, store_of
 from capture2vr.gateway.schemas import Label, StrictBody, problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import entry_name, valid_key
 from capture2vr.storage.catalogue.scene_documents import scene_name
@@ -232,4 +233,4 @@ async def _view(share: Share, request: Request) -> ShareView:
 
 
 def _unknown(share: str) -> Problem:
-    return Problem(404, "SHARE_ID_UNKNOWN", f"there is no share {share}", hints=("GET /v1/shares lists them",))
+    return Problem(404, "SHARE_ID_UNKNOWN", say("no_share", share=share), hints=("GET /v1/shares lists them",))

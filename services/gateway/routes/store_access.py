@@ -13,6 +13,7 @@ from fastapi import Request
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import gateway_of
 from capture2vr.gateway.routes.read_rules import reads_tenant
+from capture2vr.sentences.sentence import in_row, say
 from capture2vr.storage.catalogue.faults import CatalogueFault
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
@@ -38,10 +39,10 @@ def store_problems() -> Iterator[None]:
         raise
     except CatalogueFault as fault:
         hints = (fault.hint,) if fault.hint else ()
-        title = "The catalogue cannot be used"
-        raise Problem(503, fault.code, f"{fault.name}: {fault.message}", hints=hints).titled(title) from fault
+        title = say("catalogue_cannot_be_used")
+        raise Problem(503, fault.code, in_row(": ", (fault.name, fault.message)), hints=hints).titled(title) from fault
     except OSError as error:
-        raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
+        raise Problem(503, "STORE_UNAVAILABLE", say("store_does_not_answer"), retryable=True) from error
 
 
 def store_of(request: Request) -> Store:

@@ -17,6 +17,7 @@ from capture2vr.gateway.gateway import Gateway, GatewayOf
 from capture2vr.gateway.jobs.store import JobStore
 from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
 from capture2vr.gateway.schemas import Label, StrictBody, TenantName, problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import TENANT_PATTERN
 
 router = APIRouter(prefix="/v1", tags=["access"])
@@ -102,7 +103,9 @@ async def create_tenant(body: TenantRequest, gateway: GatewayOf) -> TenantView:
     authentication = gateway.access.authentication
     store = authentication.store
     if not await authentication.run(lambda: store.ensure_tenant(body.name, body.label)):
-        raise Problem(409, "TENANT_EXISTS", f"there is a tenant {body.name} already", hints=("choose another name",))
+        raise Problem(
+            409, "TENANT_EXISTS", say("tenant_already", tenant=body.name), hints=(say("choose_another_name"),)
+        )
     created = await authentication.run(lambda: store.tenant(body.name))
     assert created is not None
     return TenantView.of(created)
@@ -173,7 +176,7 @@ async def _usage(tenant: str, limits: TenantLimits, gateway: Gateway) -> UsageVi
 async def _require_tenant(name: str, authentication: Authentication) -> None:
     """Raises Problem TENANT_UNKNOWN."""
     if await authentication.run(lambda: authentication.store.tenant(name)) is None:
-        raise Problem(404, "TENANT_UNKNOWN", f"there is no tenant {name}", hints=("GET /v1/tenants lists them",))
+        raise Problem(404, "TENANT_UNKNOWN", say("no_tenant", tenant=name), hints=("GET /v1/tenants lists them",))
 
 
 def _utc(seconds: float) -> datetime:

@@ -28,6 +28,7 @@ from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.uploads.receive import batches, require_media_type
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store
 
 _MOST_UNFINISHED = 1_000  # uploads of a tenant: a row each; a walk of 2,000 photos is one upload
@@ -106,8 +107,8 @@ async def create_upload(request: Request, gateway: GatewayOf) -> Response:
     database, expiry = resumable.database, resumable.expiry()
     upload = await resumable.run(lambda: database.create(tenant, length, metadata, expiry, _MOST_UNFINISHED))
     if upload is None:
-        detail = f"{_MOST_UNFINISHED:,} uploads are unfinished already"
-        raise limited("UPLOADS_LIMITED", detail, _RETRY_S, hint="finish some, or delete them")
+        detail = say("uploads_unfinished_already", count=_MOST_UNFINISHED)
+        raise limited("UPLOADS_LIMITED", detail, _RETRY_S, hint=say("finish_some_delete_them"))
     if begins:
         try:
             upload = await _append(request, upload, checksum)
@@ -150,9 +151,9 @@ async def continue_upload(upload: UploadId, request: Request, gateway: GatewayOf
     protocol.require_media_type(request.headers)
     offset = protocol.parse_bytes(request.headers, "Upload-Offset")
     if offset != found.received:
-        detail = f"the upload is at {found.received:,} bytes, and not at {offset:,}"
+        detail = say("upload_bytes", received=found.received, offset=offset)
         answer = {"Upload-Offset": str(found.received)}
-        raise Problem(409, "UPLOAD_OFFSET", detail, hints=("go on from Upload-Offset",), headers=answer)
+        raise Problem(409, "UPLOAD_OFFSET", detail, hints=(say("go_on_from_upload_offset"),), headers=answer)
     if found.received < found.length:
         found = await _append(request, found, _parse_part(request, found.length, found.received))
     elif await _has_body(request):
@@ -211,7 +212,7 @@ async def finish_upload(
         with gateway.access.limits.upload(tenant, (await limits_of(request)).uploads_at_once):
             found = await _make_capture(request, found, store, rectangle, continues)
     tasks.add_task(gateway.captures.resumable.sweep, found, store)
-    return await in_thread(lambda: read_receipt(store, CaptureView.model_validate, found.capture))
+    return await in_thread(lambda: read_receipt(store, CaptureView.of, found.capture))
 
 
 async def _make_capture(request: Request, upload: Upload, store: Store, box: PhotoBox | None, continues: str) -> Upload:
@@ -283,8 +284,8 @@ async def _check_length(request: Request, length: int) -> None:
     gateway = gateway_of(request)
     most = gateway.settings.max_upload_bytes
     if length > most:
-        detail = f"the upload is too large; at most {most:,} bytes are allowed"
-        raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=("send a smaller capture",))
+        detail = say("upload_too_large_most_bytes", most=most)
+        raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=(say("send_smaller_capture"),))
     allowance = await gateway.access.usage.allowance(caller_of(request).tenant, await limits_of(request))
     allowance.check(length)
     gateway.captures.uploads.check_free_space(length)

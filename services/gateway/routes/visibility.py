@@ -16,6 +16,7 @@ from capture2vr.gateway.routes.access_rules import caller_of, needs
 from capture2vr.gateway.routes.read_rules import unknown_asset, unknown_collection
 from capture2vr.gateway.routes.store_access import in_thread, page_path, store_of
 from capture2vr.gateway.schemas import StrictBody, problems
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.entry import valid_key
 from capture2vr.storage.catalogue.visibility import Visibility
 from capture2vr.storage.catalogue.visibility_update import set_asset_visibility, set_collection_visibility
@@ -56,7 +57,7 @@ async def set_visibility_of_asset(
 ) -> VisibilityView:
     """Set an asset's visibility. Other gateways, and the CDN, follow within a minute."""
     if not valid_key(key):
-        raise Problem(422, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
+        raise Problem(422, "KEY_INVALID", say("not_valid_asset_key"), hints=(say("check_key_in_url"),))
     store, keys = store_of(request), gateway.keys
     try:
         await in_thread(lambda: set_asset_visibility(store, key, body.visibility, keys))
@@ -80,7 +81,7 @@ async def set_visibility_of_collection(
     """Set a collection's visibility, which is also that of its assets without one of their own. One that others may
     read lists only what is public.
     """
-    require_collection(name, "check the name in the URL")
+    require_collection(name, say("check_name_in_url"))
     store, keys = store_of(request), gateway.keys
     try:
         await in_thread(lambda: set_collection_visibility(store, name, body.visibility, keys))

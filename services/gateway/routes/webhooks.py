@@ -17,6 +17,7 @@ from capture2vr.gateway.schemas import Label, StrictBody, problems
 from capture2vr.gateway.webhooks.outbox import Message
 from capture2vr.gateway.webhooks.send import UrlRefused
 from capture2vr.gateway.webhooks.store import Webhook
+from capture2vr.sentences.sentence import say
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
 
@@ -133,8 +134,8 @@ async def create_webhook(body: WebhookRequest, request: Request, gateway: Gatewa
     run = gateway.access.authentication.run
     made = await run(lambda: store.create(tenant, body.url, body.events, body.label, most=_MOST))
     if made is None:
-        detail = f"there are {_MOST} webhooks already, as many as are allowed"
-        raise Problem(409, "WEBHOOKS_LIMITED", detail, hints=("delete one that is not needed",))
+        detail = say("webhooks_already_as_many", count=_MOST)
+        raise Problem(409, "WEBHOOKS_LIMITED", detail, hints=(say("delete_one_not_needed"),))
     hook, secret = made
     return NewWebhookView(**_fields(hook), secret=secret)
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
 from capture2vr.gateway.strip.in_place import MOST_PARTS, Buffer, CleanResult, UnreadableError, unique_names
+from capture2vr.sentences.sentence import say
 
 _HEADER = struct.Struct("<8s2I4Q")  # magic, version, length of the file, offset and length of the XML, page size
 _PAGE, _PAYLOAD = 1024, 1020
@@ -31,17 +32,17 @@ _MARKS = re.compile(rb"<!\[CDATA\[|\]\]>|<!--|-->")  # what is no text in these
 def clean(data: Buffer) -> CleanResult:
     """Overwrite texts with blanks and photos with zeros, in place. Raises UnreadableError for a damaged file."""
     if len(data) < _HEADER.size:
-        raise UnreadableError("the E57 is cut short")
+        raise UnreadableError(say("e57_cut_short"))
     _, _, _, length, offset, xml_length, page = _HEADER.unpack_from(data, 0)
     if page != _PAGE or length > len(data) or xml_length > _MOST_XML or offset + xml_length > length:
-        raise UnreadableError("the E57's header contradicts the file: it is damaged or cut short")
+        raise UnreadableError(say("e57_header_contradicts_file_damaged"))
     start = _logical(offset)
     xml = _read(data, start, xml_length)
     removed = []
     photos: dict[bytes, str] = {}
     for number, (tag, text, end) in enumerate(_elements(xml)):
         if number >= MOST_PARTS:
-            raise UnreadableError("the E57 has too many texts")
+            raise UnreadableError(say("e57_has_too_many_texts"))
         name = tag[1].decode()
         if text is None:
             photos[tag[0]] = name
@@ -88,11 +89,11 @@ def _blank_photos(data: Buffer, photos: Mapping[bytes, str]) -> list[str]:
     for tag, name in photos.items():
         at, length = (_NUMBER[key].search(tag) for key in (b"fileOffset", b"length"))
         if at is None or length is None:
-            raise UnreadableError("the E57 has a photo without a place")
+            raise UnreadableError(say("e57_has_photo_without_place"))
         begin, count = _logical(int(at[1])) + _SECTION_HEADER, int(length[1])
         done += count
         if _physical(begin + count) > len(data) or done > len(data):
-            raise UnreadableError("the E57 has a photo that lies beyond its end")
+            raise UnreadableError(say("e57_has_photo_lies_beyond"))
         if _write_zeros(data, begin, count):
             removed.append(name)
     return removed

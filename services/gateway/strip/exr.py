@@ -14,6 +14,7 @@ from capture2vr.gateway.strip.in_place import (
     is_blank,
     unique_names,
 )
+from capture2vr.sentences.sentence import say
 
 _REMOVED_ATTRIBUTES = {b"owner", b"comments", b"longitude", b"latitude", b"altitude", b"utcOffset", b"xmp"}
 _REMOVED_ATTRIBUTES |= {b"cameraSerialNumber", b"lensSerialNumber", b"cameraUuid", b"cameraLabel"}
@@ -39,7 +40,7 @@ def size(data: Buffer) -> tuple[int, int]:
         if name == b"dataWindow" and stop - start == 16:
             x_min, y_min, x_max, y_max = struct.unpack_from("<4i", data, start)
             return x_max - x_min + 1, y_max - y_min + 1
-    raise UnreadableError("the EXR image has no size (dataWindow) in its header")
+    raise UnreadableError(say("exr_image_has_no_size"))
 
 
 def _attributes(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
@@ -54,18 +55,18 @@ def _attributes(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
             continue
         _, at = _read_string(data, at)  # the type
         if at + 4 > len(data):
-            raise UnreadableError("the EXR image is cut short")
+            raise UnreadableError(say("exr_image_cut_short"))
         length = struct.unpack_from("<i", data, at)[0]
         if length < 0 or at + 4 + length > len(data):
-            raise UnreadableError(f"the EXR image is cut short within its attribute {name!r}")
+            raise UnreadableError(say("exr_image_cut_short_within", name=repr(name)))
         yield name, at + 4, at + 4 + length
         at += 4 + length
-    raise UnreadableError("the EXR image's header has no end")
+    raise UnreadableError(say("exr_image_header"))
 
 
 def _read_string(data: Buffer, at: int) -> tuple[bytes, int]:
     """Read a zero-terminated string; returns it and the offset behind it. Raises UnreadableError."""
     end = data.find(b"\0", at, at + _LONGEST_NAME)
     if end < 0:
-        raise UnreadableError("the EXR image's header is damaged or cut short")
+        raise UnreadableError(say("exr_image_header_damaged_cut"))
     return bytes(data[at:end]), end + 1

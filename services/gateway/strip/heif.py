@@ -18,6 +18,7 @@ from capture2vr.gateway.strip.in_place import (
     unique_names,
 )
 from capture2vr.gateway.strip.iso_boxes import Box, boxes, find, free_box
+from capture2vr.sentences.sentence import say
 
 _ALLOWED_BOXES = {b"ftyp", b"meta", b"mdat", b"moov"}
 _ALLOWED_IN_META = {b"hdlr", b"pitm", b"iinf", b"iloc", b"iref", b"iprp", b"ipro", b"idat", b"dinf", b"grpl"}
@@ -48,10 +49,10 @@ def clean(data: Buffer) -> CleanResult:
                 removed += [] if is_blank(data, box.body, box.end) else [box.kind.decode("latin-1")]
                 free_box(data, box)
         if meta is None:
-            raise UnreadableError("the HEIF file has no index (meta box)")
+            raise UnreadableError(say("heif_file_has_no_index"))
         removed += _clean_items(data, meta) + _clean_index(data, meta)
     except struct.error:
-        raise UnreadableError("the HEIF file's index is damaged or cut short") from None
+        raise UnreadableError(say("heif_file_index_damaged_cut")) from None
     return CleanResult(unique_names(removed), len(data))
 
 
@@ -81,7 +82,7 @@ def _clean_items(data: Buffer, meta: Box) -> list[str]:
         extent for item, extents in extents_of.items() if kinds.get(item) in (b"mime", b"uri ") for extent in extents
     ]
     if len(exif) + len(other) > _MOST_METADATA:
-        raise UnreadableError(f"the HEIF file has too many blocks of metadata: {len(exif) + len(other):,}")
+        raise UnreadableError(say("heif_file_has_too_many", count=len(exif) + len(other)))
     removed = [name for extents in exif for name in _clean_exif(data, extents)]
     if not all(is_blank(data, start, end) for start, end in other):
         removed.append("XMP")
@@ -125,7 +126,7 @@ class _IndexReader:
 
     def take(self, size: int) -> int:
         if self.at + size > len(self.data):
-            raise UnreadableError("the HEIF file's index is cut short")
+            raise UnreadableError(say("heif_file_index_cut_short"))
         value = int.from_bytes(self.data[self.at : self.at + size], "big")
         self.at += size
         return value
@@ -143,7 +144,7 @@ def _item_extents(data: Buffer, meta: Box) -> dict[int, list[Extent]]:
     offset_size, length_size, base_size, index_size = (sizes >> shift & 15 for shift in (12, 8, 4, 0))
     count = reader.take(2 if version < 2 else 4)
     if count > _MOST_ITEMS:
-        raise UnreadableError(f"the HEIF file has too many items: {count:,}")
+        raise UnreadableError(say("heif_file_has_too_many_items", count=count))
     found: dict[int, list[Extent]] = {}
     for _ in range(count):
         item = reader.take(2 if version < 2 else 4)
@@ -155,12 +156,12 @@ def _item_extents(data: Buffer, meta: Box) -> dict[int, list[Extent]]:
         extents: list[Extent] = []
         for _ in range(reader.take(2)):
             if len(extents) > _MOST_EXTENTS:
-                raise UnreadableError(f"item {item} of the HEIF file has too many pieces: more than {_MOST_EXTENTS}")
+                raise UnreadableError(say("item_heif_file", item=item, most=_MOST_EXTENTS))
             reader.take(index_size if version else 0)
             start = base + reader.take(offset_size)
             end = start + reader.take(length_size)
             if method < 2 and end > len(data):
-                raise UnreadableError(f"the HEIF file is cut short: item {item} ends at byte {end:,}")
+                raise UnreadableError(say("heif_file_cut_short_item", item=item, end=end))
             extents.append((start, end))
         if method < 2:  # 2: the extents are parts of other items
             found[item] = extents

@@ -11,6 +11,8 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from capture2vr.sentences.sentence import say
+
 Buffer = bytearray | mmap.mmap
 
 
@@ -59,7 +61,7 @@ def blank_all(data: Buffer, ranges: Iterable[tuple[int, int]]) -> None:
 def read_metadata(data: Buffer, start: int, end: int) -> bytes:
     """Copy a block of metadata to be parsed. Raises UnreadableError for one that is too large."""
     if end - start > _MOST_METADATA:
-        raise UnreadableError(f"the file has a block of metadata that is too large: {end - start:,} bytes")
+        raise UnreadableError(say("file_has_block_metadata", size=end - start))
     return bytes(data[start:end])
 
 

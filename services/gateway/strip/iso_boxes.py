@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from capture2vr.gateway.strip.in_place import MOST_PARTS, Buffer, UnreadableError, blank
+from capture2vr.sentences.sentence import say
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,20 +28,18 @@ def boxes(data: Buffer, start: int, end: int) -> Iterator[Box]:
         if at + 8 > end:
             return
         if count > MOST_PARTS:
-            raise UnreadableError(f"the file has too many boxes: more than {MOST_PARTS:,}")
+            raise UnreadableError(say("file_has_too_many_boxes", most=MOST_PARTS))
         size, kind = struct.unpack_from(">I4s", data, at)
         body = at + 8
         if size == 1:
             if at + 16 > end:
-                raise UnreadableError(f"the file is cut short within its box {kind!r}")
+                raise UnreadableError(say("file_cut_short_within_box", kind=repr(kind)))
             size = struct.unpack_from(">Q", data, body)[0]
             body = at + 16
         elif size == 0:  # the box extends to the end
             size = end - at
         if at + size < body or at + size > end:
-            raise UnreadableError(
-                f"the file is cut short: its box {kind!r} should have {size:,} bytes, but only {end - at:,} are left"
-            )
+            raise UnreadableError(say("file_cut_short_box_should", kind=repr(kind), size=size, left=end - at))
         yield Box(kind, at, body, at + size)
         at += size
 

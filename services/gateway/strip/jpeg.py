@@ -16,6 +16,7 @@ from capture2vr.gateway.strip.in_place import (
     is_blank,
     unique_names,
 )
+from capture2vr.sentences.sentence import say
 
 _SCAN, _END, _COMMENT = 0xDA, 0xD9, 0xFE
 _WITHOUT_LENGTH = {0x01, *range(0xD0, 0xD8)}  # markers without a length: TEM and the restarts
@@ -71,7 +72,7 @@ def _segments(data: Buffer) -> Iterator[tuple[int, int, int]]:
             break
         marker = data[at + 1]
         if data[at] != 0xFF:
-            raise UnreadableError(f"the JPEG is damaged: a marker is missing at byte {at:,}")
+            raise UnreadableError(say("jpeg_damaged_marker_missing_byte", at=at))
         if marker == _END:
             yield marker, at + 2, at + 2
             return
@@ -83,22 +84,22 @@ def _segments(data: Buffer) -> Iterator[tuple[int, int, int]]:
             end = at + 2 + _length(data, at + 2)
             yield marker, at + 4, end
             at = _next_marker(data, end) if marker == _SCAN else end
-    raise UnreadableError("the JPEG is cut short: it has no end marker")
+    raise UnreadableError(say("jpeg_has_no_end_marker"))
 
 
 def _length(data: Buffer, at: int) -> int:
     if at + 2 > len(data):
-        raise UnreadableError("the JPEG is cut short")
+        raise UnreadableError(say("jpeg_cut_short"))
     length = int(struct.unpack_from(">H", data, at)[0])
     if length < 2 or at + length > len(data):
-        raise UnreadableError(f"the JPEG is cut short: the segment at byte {at:,} should have {length:,} bytes")
+        raise UnreadableError(say("jpeg_cut_short_segment_byte", at=at, length=length))
     return length
 
 
 def _next_marker(data: Buffer, at: int) -> int:
     found = _NEXT_MARKER.search(data, at)
     if found is None:
-        raise UnreadableError("the JPEG is cut short: its image data have no end")
+        raise UnreadableError(say("jpeg_cut_short_image_data"))
     return found.start()
 
 

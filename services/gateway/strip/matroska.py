@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from capture2vr.gateway.strip.in_place import Buffer, CleanResult, UnreadableError, blank, is_blank, unique_names
+from capture2vr.sentences.sentence import say
 
 _EBML, _SEGMENT, _INFO, _TRACKS, _CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
 _TRACK, _NUMBER, _TYPE, _GROUP, _BLOCK, _SIMPLE_BLOCK = 0xAE, 0xD7, 0x83, 0xA0, 0xA1, 0xA3
@@ -34,7 +35,7 @@ _NAMES = {
 _ALLOWED_TYPES = {1, 2}  # track types: video and audio
 _MOST_ELEMENTS = 400_000  # an hour of video and audio; each takes 150 bytes of memory
 _UNKNOWN_SIZE = -1  # of an element written during the recording: it ends where the next one begins
-_BROKEN = "the video's index is damaged"
+_BROKEN = say("video_index_damaged")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,21 +63,21 @@ def clean(data: Buffer) -> CleanResult:
     film = _MatroskaFilm(data)
     top = list(_elements(film, 0, len(data)))
     if not top or top[0].kind != _EBML:
-        raise UnreadableError("this is not a webm or mkv video, although its name says so")
+        raise UnreadableError(say("not_webm_mkv_video_although"))
     for element in top[1:]:
         if element.kind == _SEGMENT:
             _clean_segment(film, element)
         else:
             _make_void(film, element)
     if not any(element.kind == _SEGMENT for element in top):
-        raise UnreadableError("the video is cut short: nothing follows its header")
+        raise UnreadableError(say("video_cut_short_nothing_follows"))
     return CleanResult(unique_names(film.removed), len(data))
 
 
 def _clean_segment(film: _MatroskaFilm, segment: _EbmlElement) -> None:
     parts = list(_elements(film, segment.body, segment.end))
     if not any(part.kind == _TRACKS for part in parts):
-        raise UnreadableError("the video has no index: it is cut short, or its recording was interrupted")
+        raise UnreadableError(say("video_has_no_index_cut"))
     changed = [_clean_part(film, part) for part in sorted(parts, key=lambda part: part.kind == _CLUSTER)]
     if any(changed):
         _void_checksums(film, parts)
@@ -177,8 +178,8 @@ def _elements(film: _MatroskaFilm, start: int, end: int) -> Iterator[_EbmlElemen
         if size == _UNKNOWN_SIZE:
             stop = _open_end(film, kind, body, end)
         if stop > end:
-            remaining = f"only {end - body:,} are left"
-            raise UnreadableError(f"the video is cut short: an element should have {size:,} bytes, but {remaining}")
+            remaining = say("only_left", left=end - body)
+            raise UnreadableError(say("video_cut_short_element_should", size=size, left=remaining))
         yield _EbmlElement(kind, at, body, stop)
         at = stop
 
@@ -186,7 +187,7 @@ def _elements(film: _MatroskaFilm, start: int, end: int) -> Iterator[_EbmlElemen
 def _count(film: _MatroskaFilm) -> None:
     film.elements += 1
     if film.elements > _MOST_ELEMENTS:
-        raise UnreadableError(f"the video has too many elements: more than {_MOST_ELEMENTS:,}")
+        raise UnreadableError(say("video_has_too_many_elements", most=_MOST_ELEMENTS))
 
 
 def _open_end(film: _MatroskaFilm, kind: int, body: int, end: int) -> int:

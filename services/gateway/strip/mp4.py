@@ -23,6 +23,7 @@ from capture2vr.gateway.strip.in_place import (
     unique_names,
 )
 from capture2vr.gateway.strip.iso_boxes import Box, boxes, find, free_box
+from capture2vr.sentences.sentence import say
 
 _UNUSED = {b"free", b"skip", b"wide"}
 # Boxes that stay, by parent (ISO/IEC 14496-12, QuickTime File Format). Boxes that are no key here are not opened.
@@ -65,15 +66,15 @@ def clean(data: Buffer) -> CleanResult:
     """Strip the metadata in place. Data behind the last box are to be cut off. Raises UnreadableError."""
     top = _top_boxes(data)
     if not any(box.kind == b"moov" for box in top):
-        raise UnreadableError("the video has no index: it is cut short, or its recording was interrupted")
+        raise UnreadableError(say("video_has_no_index_cut"))
     film = _Mp4Film(data, [(box.body, box.end) for box in top if box.kind == b"mdat"])
     try:
         # moov first, because fragments refer to its tracks.
         _clean_boxes(film, sorted(top, key=lambda box: box.kind != b"moov"), _ALLOWED_TOP)
     except struct.error:
-        raise UnreadableError("the video's index is damaged") from None
+        raise UnreadableError(say("video_index_damaged")) from None
     if not film.pictures:
-        raise UnreadableError("the file has no video track")
+        raise UnreadableError(say("file_has_no_video_track"))
     if top[-1].end < len(data):
         film.removed.append("Trailer")
     return CleanResult(unique_names(film.removed), top[-1].end)
@@ -119,7 +120,7 @@ def _clean_boxes(film: _Mp4Film, boxes_found: Iterable[Box], allowed: set[bytes]
         elif box.kind == b"trak" and _handler(film.data, box) not in _ALLOWED_TRACKS:
             _remove_track(film, box)
         elif box.kind == b"traf" and _track_number(film.data, box, b"tfhd", 4) in film.removed_tracks:
-            raise UnreadableError("the video is fragmented and has a metadata track: export it as an ordinary mp4")
+            raise UnreadableError(say("video_fragmented_has_metadata_track"))
         elif box.kind in _ALLOWED_WITHIN:
             film.pictures += box.kind == b"trak" and _handler(film.data, box) in _PICTURES
             _clean_boxes(film, list(boxes(film.data, box.body, box.end)), _ALLOWED_WITHIN[box.kind])
@@ -135,7 +136,7 @@ def _remove_track(film: _Mp4Film, track: Box) -> None:
     film.removed.append(f"track {_handler(film.data, track).decode('latin-1')}")
     film.removed_tracks.append(_track_number(film.data, track, b"tkhd", 12))
     if len(film.removed_tracks) > _MOST_TRACKS:
-        raise UnreadableError(f"the video has too many metadata tracks: more than {_MOST_TRACKS}")
+        raise UnreadableError(say("video_has_too_many_metadata", most=_MOST_TRACKS))
     blank_all(film.data, _clip_to_media(_samples(film.data, track), film.media))
     free_box(film.data, track)
 
@@ -216,7 +217,7 @@ def _compact_sizes(data: Buffer, body: int) -> tuple[int, ...]:
     """Read the table of sample sizes whose entries have 4, 8 or 16 bits."""
     bits = data[body + 7]
     if bits not in (4, 8, 16):
-        raise UnreadableError(f"the video's index is damaged: sample sizes of {bits} bits")
+        raise UnreadableError(say("video_index_damaged_sample_sizes", bits=bits))
     count = _count(data, body + 8, 1)
     packed = data[body + 12 : body + 12 + (count * bits + 7) // 8]
     if bits == 16:
@@ -248,5 +249,5 @@ def _count(data: Buffer, at: int, size: int) -> int:
     """Read a number of entries of `size` bytes each. Raises UnreadableError where the file cannot have so many."""
     count = int(struct.unpack_from(">I", data, at)[0])
     if count > _MOST_ENTRIES or count * size > len(data):
-        raise UnreadableError(f"the video's index is damaged: {count:,} entries in one table")
+        raise UnreadableError(say("video_index_damaged_entries", count=count))
     return count

@@ -18,6 +18,7 @@ from capture2vr.gateway.strip.in_place import (
     read_metadata,
     unique_names,
 )
+from capture2vr.sentences.sentence import say
 
 _ALLOWED_CHUNKS = {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP"}
 _ALLOWED_CHUNKS |= {b"mDCV", b"cLLI", b"sBIT", b"bKGD", b"hIST", b"pHYs", b"acTL", b"fcTL", b"fdAT"}
@@ -58,11 +59,11 @@ def check_pixels(data: Buffer) -> None:
                 size += len(inflater.decompress(packed, _INFLATE_BYTES))
                 packed = inflater.unconsumed_tail
                 if size > 2 * expected + _INFLATE_BYTES:  # filters and interlacing add some bytes per row
-                    raise UnreadableError("the PNG has more pixels than its header says")
+                    raise UnreadableError(say("png_has_more_pixels_than"))
     except zlib.error as error:
-        raise UnreadableError(f"the PNG's pixels are damaged: {error}") from None
+        raise UnreadableError(say("png_pixels_damaged", error=error)) from None
     if size < expected:
-        raise UnreadableError(f"the PNG is cut short: it has {size:,} of {expected:,} bytes of pixels")
+        raise UnreadableError(say("png_cut_short_has_bytes", size=size, expected=expected))
 
 
 def _pixel_blocks(data: Buffer) -> Iterator[bytes]:
@@ -87,14 +88,14 @@ def _chunks(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
         length, kind = struct.unpack_from(">I4s", data, at)
         start, stop = at + 8, at + 8 + length
         if stop + 4 > len(data):
-            raise UnreadableError(f"the PNG is cut short within its chunk {kind!r}")
+            raise UnreadableError(say("png_cut_short_within_chunk", kind=repr(kind)))
         if checksum(data, start - 4, stop) != struct.unpack_from(">I", data, stop)[0]:
-            raise UnreadableError(f"the PNG's chunk {kind!r} is damaged: wrong checksum")
+            raise UnreadableError(say("png_chunk_damaged_wrong_checksum", kind=repr(kind)))
         yield kind, start, stop
         if kind == b"IEND":
             return
         at = stop + 4
-    raise UnreadableError("the PNG is cut short: it has no IEND chunk")
+    raise UnreadableError(say("png_cut_short"))
 
 
 def _write_checksum(data: Buffer, start: int, stop: int) -> None:

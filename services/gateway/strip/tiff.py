@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from capture2vr.gateway.strip.exif import ALLOWED_EXIF_TAGS, BrokenExifError, byte_order, field_bytes, tag_name
 from capture2vr.gateway.strip.in_place import Buffer, CleanResult, UnreadableError, blank_all, unique_names
+from capture2vr.sentences.sentence import say
 
 # A deny list for the tags of the standard: they also say where the pixels are, in more ways than an allow list would
 # cover. Description, names of document, page and printer, artist, computer, XMP.
@@ -58,10 +59,10 @@ def clean(data: Buffer) -> CleanResult:
                 continue
             visited.add(offset)
             if len(visited) > _MOST_DIRECTORIES:
-                raise UnreadableError(f"the TIFF has too many pages: more than {_MOST_DIRECTORIES:,}")
+                raise UnreadableError(say("tiff_has_too_many_pages", most=_MOST_DIRECTORIES))
             _clean_directory(data, order, offset, keeps, tiff)
     except (struct.error, BrokenExifError) as error:
-        raise UnreadableError(f"the TIFF is damaged or cut short: {error}") from None
+        raise UnreadableError(say("tiff_damaged_cut_short", error=error)) from None
     blank_all(data, tiff.ranges)
     return CleanResult(unique_names(tiff.removed), len(data))
 
@@ -93,7 +94,7 @@ def _clean_directory(data: Buffer, order: str, offset: int, keeps: Keeps, tiff: 
         tiff.removed.append(tag_name(tag))
         tiff.ranges += itertools.islice(_value_ranges(data, order, at, tiff.nested), _MOST_VALUES + 1)
         if len(tiff.ranges) > _MOST_VALUES:
-            raise UnreadableError(f"the TIFF has too many metadata values: more than {_MOST_VALUES:,}")
+            raise UnreadableError(say("tiff_has_too_many_metadata", most=_MOST_VALUES))
     struct.pack_into(order + "H", data, offset, len(remaining))
     rest = b"".join(remaining) + struct.pack(order + "I", next_offset)
     data[offset + 2 : end + 4] = rest.ljust(end + 2 - offset, b"\0")
@@ -103,7 +104,7 @@ def _count(data: Buffer, order: str, offset: int) -> int:
     """Read the number of a directory's entries. Raises UnreadableError for more than any has."""
     count = int(struct.unpack_from(order + "H", data, offset)[0])
     if count > _MOST_ENTRIES:
-        raise UnreadableError(f"the TIFF is damaged: one of its directories has {count:,} entries")
+        raise UnreadableError(say("tiff_damaged_one_directories", count=count))
     return count
 
 
@@ -111,7 +112,7 @@ def _pointers(data: Buffer, order: str, at: int) -> tuple[int, ...]:
     """Read the offsets of the directories that an entry leads to. Raises UnreadableError, BrokenExifError."""
     _, kind, number, pointer = struct.unpack_from(order + "HHII", data, at)
     if field_bytes(kind, number) != 4 * number or number > _MOST_DIRECTORIES:
-        raise UnreadableError("the TIFF is damaged: an entry that should lead to a directory leads to none")
+        raise UnreadableError(say("tiff_damaged_entry_should_lead"))
     return (pointer,) if number == 1 else struct.unpack_from(f"{order}{number}I", data, pointer)
 
 
@@ -125,7 +126,7 @@ def _value_ranges(data: Buffer, order: str, at: int, visited: set[int]) -> Itera
         visited.add(pointer)
         count = _count(data, order, pointer)
         if len(visited) > _MOST_DIRECTORIES:
-            raise UnreadableError("the TIFF is damaged: its directories do not end")
+            raise UnreadableError(say("tiff_damaged_directories"))
         yield _within(data, pointer, 2 + 12 * count)
         for inner in range(pointer + 2, pointer + 2 + 12 * count, 12):
             yield from _value_ranges(data, order, inner, visited)
@@ -133,5 +134,5 @@ def _value_ranges(data: Buffer, order: str, at: int, visited: set[int]) -> Itera
 
 def _within(data: Buffer, start: int, size: int) -> tuple[int, int]:
     if start + size > len(data):
-        raise UnreadableError("the TIFF is damaged: a value ends outside of the file")
+        raise UnreadableError(say("tiff_damaged_value_ends_outside"))
     return start, start + size

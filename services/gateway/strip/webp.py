@@ -15,6 +15,7 @@ from capture2vr.gateway.strip.in_place import (
     read_metadata,
     unique_names,
 )
+from capture2vr.sentences.sentence import say
 
 _ALLOWED_IN_FRAME = {b"VP8 ", b"VP8L", b"ALPH"}
 _ALLOWED_CHUNKS = _ALLOWED_IN_FRAME | {b"VP8X", b"ANIM", b"ANMF", b"ICCP", b"EXIF"}
@@ -25,7 +26,7 @@ def clean(data: Buffer) -> CleanResult:
     """Strip the metadata in place. Data behind the RIFF container are to be cut off. Raises UnreadableError."""
     end = 8 + struct.unpack_from("<I", data, 4)[0]
     if end > len(data):
-        raise UnreadableError(f"the WebP is cut short: it has {len(data):,} of {end:,} bytes")
+        raise UnreadableError(say("webp_cut_short_has_bytes", size=len(data), end=end))
     removed = _clean_chunks(data, 12, end, _ALLOWED_CHUNKS)
     if end < len(data):
         removed.append("Trailer")
@@ -41,7 +42,7 @@ def _clean_chunks(data: Buffer, at: int, end: int, allowed: set[bytes]) -> list[
         kind, length = struct.unpack_from("<4sI", data, at)
         start, stop = at + 8, at + 8 + length
         if stop > end:
-            raise UnreadableError(f"the WebP's chunk {kind!r} ends outside of the file")
+            raise UnreadableError(say("webp_chunk_ends_outside_file", kind=repr(kind)))
         if kind == b"EXIF" and kind in allowed:
             removed += _clean_exif(data, start, stop)
         elif kind == b"ANMF" and kind in allowed:

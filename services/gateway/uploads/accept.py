@@ -33,6 +33,8 @@ from capture2vr.gateway.workers.worker_client import Inspection, WorkerPool
 from capture2vr.order.one_line import one_line
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.process.traces import capture_span
+from capture2vr.sentences.documents import with_codes
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.store import Store
 
 _WRITERS = 8  # threads: writing to disk is mostly waiting
@@ -71,7 +73,7 @@ class _Earlier:
         except OSError as error:
             if is_disk_full(error):
                 raise
-            detail = "the earlier capture could not be read from the store"
+            detail = say("earlier_capture_could")
             raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
 
 
@@ -234,13 +236,13 @@ async def _disconnected(request: Request) -> None:
 def _check_fields(received: ReceivedUpload) -> tuple[str, str]:
     """Return the capture's name and collection from the form's text fields. Raises Problem."""
     if not received.files:
-        raise Problem(422, "CAPTURE_EMPTY", "the upload has no files", hints=("choose at least one file",))
+        raise Problem(422, "CAPTURE_EMPTY", say("upload_has_no_files"), hints=(say("choose_least_one_file"),))
     if collection := received.fields.get("collection", ""):
-        require_collection(collection, "change the field `collection`, or leave it out")
+        require_collection(collection, say("change_field_collection_leave"))
     try:
         return one_line(received.fields.get("name", "")[:200]), collection
     except ValueError as error:
-        raise Problem(422, "NAME_INVALID", str(error), hints=("change the field `name`",)) from None
+        raise Problem(422, "NAME_INVALID", str(error), hints=(say("change_field_name"),)) from None
 
 
 def _receipt(capture: str, continues: str, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
@@ -265,7 +267,7 @@ def _receipt(capture: str, continues: str, packed: _PackedCapture, inspection: I
 
 
 def _json_bytes(receipt: dict[str, Any]) -> bytes:
-    return json.dumps(receipt, ensure_ascii=False, separators=(",", ":")).encode()
+    return json.dumps(with_codes(receipt), ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def _remove_abandoned(staging: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from capture2vr.gateway.uploads.file_names import unique_name
 from capture2vr.gateway.uploads.refusal import Refused, too_many_files
 from capture2vr.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
+from capture2vr.sentences.sentence import say
 
 _ALLOWED = IMAGES | {Kind.UNKNOWN, Kind.RAW, Kind.SIDECAR}  # these are left out, as in any upload
 
@@ -22,7 +23,7 @@ def add_photos(source: Path, names: Sequence[str], earlier: Path, earlier_names:
     Raises Refused CAPTURE_NOT_PHOTOS, UPLOAD_TOO_MANY_FILES.
     """
     for name in earlier_names:
-        _require_photo(earlier / name, "the capture that is to be continued", name, IMAGES)
+        _require_photo(earlier / name, say("capture_to_be_continued"), name, IMAGES)
     for name in names:
         _require_photo(source / name, "the upload", name, _ALLOWED)
     if len(names) + len(earlier_names) > most:
@@ -40,5 +41,5 @@ def _require_photo(path: Path, where: str, name: str, allowed: set[Kind]) -> Non
     with path.open("rb") as file:
         kind = sniff(name, file.read(HEAD_BYTES))
     if kind not in allowed:
-        detail = f"{where} has a file that is no photo; only captures of photos alone can be continued, with photos"
-        raise Refused("CAPTURE_NOT_PHOTOS", detail, name, ("send all files again, as a new capture",))
+        detail = say("has_file_no_photo", where=where)
+        raise Refused("CAPTURE_NOT_PHOTOS", detail, name, (say("send_all_files_again"),))

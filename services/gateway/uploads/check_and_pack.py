@@ -11,6 +11,7 @@ from capture2vr.gateway.uploads.add_photos import add_photos
 from capture2vr.gateway.uploads.refusal import SEND_FEWER, Refused, too_many_files
 from capture2vr.gateway.uploads.validate import FileReport, validate
 from capture2vr.process.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
+from capture2vr.sentences.sentence import say
 
 _ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
 
@@ -85,7 +86,7 @@ def _add_to_earlier(source: Path, names: Sequence[str], order: CheckOrder) -> tu
     earlier_names = _unpack(earlier_archive_of(folder), earlier, order)
     together = add_photos(source, names, earlier, earlier_names, order.most_files)
     if sum((earlier / name).stat().st_size for name in together) > order.most_bytes:
-        detail = f"with the earlier photos the capture is too large; at most {order.most_bytes:,} bytes are allowed"
+        detail = say("with_earlier_photos_capture", most=order.most_bytes)
         raise Refused("UPLOAD_TOO_LARGE", detail, hints=SEND_FEWER, status=413)
     return earlier, together
 
@@ -98,7 +99,7 @@ def _unpack(archive: Path, into: Path, order: CheckOrder) -> list[str]:
     except ArchiveError as error:
         raise Refused(error.code, error.message, error.file or client_name, error.hints) from None
     if not files:
-        raise Refused("CAPTURE_EMPTY", "the archive has no files", client_name, ("zip the files again",))
+        raise Refused("CAPTURE_EMPTY", say("archive_has_no_files"), client_name, (say("zip_files_again"),))
     if len(files) > order.most_files:
         raise too_many_files(order.most_files)
     archive.unlink()

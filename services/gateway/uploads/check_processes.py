@@ -15,6 +15,7 @@ from capture2vr.gateway.uploads.check_and_pack import CheckOrder, PackedFiles, a
 from capture2vr.gateway.uploads.refusal import SEND_FEWER
 from capture2vr.gateway.uploads.validate import FileReport
 from capture2vr.process.fork_client import ForkServer
+from capture2vr.sentences.sentence import say
 
 _AT_ONCE = 4  # checks, each with up to 768 MB; more would slow each other down on a small machine
 # Signals by which the kernel ends a check that has used up its processor time, its time on the clock, or all memory.
@@ -64,11 +65,11 @@ def _ended(said: dict[str, Any]) -> Problem:
     """Return the problem for a check without a result: it ran out of memory or time, crashed, or was killed."""
     status, file = said.get("ended"), said.get("file", "")
     if status is None:
-        return Problem(503, "CHECK_INTERRUPTED", "the check of the upload was interrupted", retryable=True)
+        return Problem(503, "CHECK_INTERRUPTED", say("check_upload_interrupted"), retryable=True)
     if "costly" in said or -status in _USED_UP:
-        what = "memory" if "costly" in said else "time"
-        detail = f"checking it takes more {what} than an upload of its size may take"
+        what = say("word_memory" if "costly" in said else "word_time")
+        detail = say("checking_takes_more_than_upload", what=what)
         return Problem(422, "CAPTURE_TOO_LARGE", detail, file=file, hints=SEND_FEWER)
     name = signal.Signals(-status).name if status < 0 else f"status {status}"
-    hints = ("send the file again, or leave it out",)
-    return Problem(422, "CAPTURE_UNREADABLE", f"cannot be read: its decoder crashed ({name})", file=file, hints=hints)
+    hints = (say("send_file_again_leave"),)
+    return Problem(422, "CAPTURE_UNREADABLE", say("cannot_be_read_decoder_crashed", name=name), file=file, hints=hints)

@@ -13,6 +13,7 @@ from PIL import Image, UnidentifiedImageError
 from capture2vr.gateway.strip import exr, jpeg, png
 from capture2vr.gateway.strip.in_place import Buffer, UnreadableError
 from capture2vr.gateway.uploads.sniff import Kind
+from capture2vr.sentences.sentence import say
 
 MAX_PIXELS = 100_000_000  # 300 MB decoded; phones' largest sensors have 200 megapixels, binned to 12 or 50
 _MAX_DECODED_PIXELS = 24_000_000  # larger images are not decoded fully: 72 MB each, on two threads
@@ -39,14 +40,14 @@ def check_image(kind: Kind, path: Path, data: Buffer) -> None:
     """
     width, height = _size(kind, path, data)
     if width < 1 or height < 1:
-        raise UnreadableError(f"the image's size is wrong: {width:,} × {height:,} pixels")
+        raise UnreadableError(say("image_size_wrong_pixels", width=width, height=height))
     if width * height > MAX_PIXELS or max(width, height) > _MAX_SIDE:
         limit = f"{MAX_PIXELS // 1_000_000} megapixels"
-        raise TooLargeError(f"the image has {width:,} × {height:,} pixels; at most {limit} are allowed")
+        raise TooLargeError(say("image_has_pixels_most_allowed", width=width, height=height, limit=limit))
     if kind is Kind.PNG:
         if (decoded := max(png.raw_bytes(data), 3 * width * height)) > _MAX_DECODED_BYTES:
             limit = f"{_MAX_DECODED_BYTES // 1_000_000} MB"
-            raise TooLargeError(f"the image's pixels take {decoded // 1_000_000:,} MB; at most {limit} are allowed")
+            raise TooLargeError(say("image_pixels_take_mb", size=decoded // 1000000, limit=limit))
         png.check_pixels(data)
     elif kind is Kind.JPEG:
         _check_jpeg(path, data, width * height)
@@ -58,12 +59,12 @@ def _size(kind: Kind, path: Path, data: Buffer) -> tuple[int, int]:
     """Return (width, height) from the image's header. Raises UnreadableError."""
     if kind is Kind.PNG:  # read here, because Pillow would parse text chunks too
         if len(data) < 33 or data[12:16] != b"IHDR":
-            raise UnreadableError("this is not a PNG image, although its name says so")
+            raise UnreadableError(say("not_png_image_although_name"))
         width, height = struct.unpack_from(">II", data, 16)
         return width, height
     if kind is Kind.EXR:
         if data[:4] != b"v/1\x01":
-            raise UnreadableError("this is not an EXR image, although its name says so")
+            raise UnreadableError(say("not_exr_image_although_name"))
         return exr.size(data)
     return _pillow_size(path)
 
@@ -74,11 +75,11 @@ def _pillow_size(path: Path) -> tuple[int, int]:
         with pillow.open(path, formats=_FORMATS) as image:
             return int(image.width), int(image.height)
     except UnidentifiedImageError:
-        raise UnreadableError("this is not an image that can be read, although its name says so") from None
+        raise UnreadableError(say("not_image_can_be_read_although")) from None
     except MemoryError:
         raise
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged headers
-        raise UnreadableError(f"the image's header is damaged: {error}") from None
+        raise UnreadableError(say("image_header_damaged", error=error)) from None
 
 
 def _check_jpeg(path: Path, data: Buffer, pixels: int) -> None:
@@ -87,10 +88,10 @@ def _check_jpeg(path: Path, data: Buffer, pixels: int) -> None:
     A progressive JPEG needs more memory, so a large one is not decoded.
     """
     if (scans := jpeg.count_scans(data)) > _MAX_SCANS:
-        raise UnreadableError(f"the JPEG has {scans:,} scans; at most {_MAX_SCANS} are read")
+        raise UnreadableError(say("jpeg_has_scans_most_read", scans=scans, most=_MAX_SCANS))
     if scans * pixels > _MAX_SCANNED_PIXELS and jpeg.is_progressive(data):
         most = _MAX_SCANNED_PIXELS // pixels
-        raise TooLargeError(f"the JPEG has {scans:,} scans; at most {most} are allowed for {pixels:,} pixels")
+        raise TooLargeError(say("jpeg_has_scans_most_allowed", scans=scans, most=most, pixels=pixels))
     if pixels <= _MAX_DECODED_PIXELS or not jpeg.is_progressive(data):
         _decode(path, draft=True)
 
@@ -104,7 +105,7 @@ def _decode(path: Path, *, draft: bool) -> None:
     except MemoryError:
         raise
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged pixels
-        raise UnreadableError(f"the image is damaged or cut short: {error}") from None
+        raise UnreadableError(say("image_damaged_cut_short", error=error)) from None
 
 
 @cache
@@ -123,4 +124,4 @@ def map_file(path: Path) -> mmap.mmap:
         try:
             return mmap.mmap(file.fileno(), 0)
         except ValueError:
-            raise UnreadableError("the file is empty") from None
+            raise UnreadableError(say("file_empty")) from None

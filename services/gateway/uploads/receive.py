@@ -19,6 +19,7 @@ from starlette.requests import ClientDisconnect, Request
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.uploads.file_names import safe_name, unique_name
 from capture2vr.gateway.uploads.refusal import SEND_FEWER, too_many_files
+from capture2vr.sentences.sentence import say
 
 # Bytes per write in a thread: 32 uploads hold 8 MB, and switching threads costs 1 % of the write.
 _BATCH_BYTES = 256 << 10
@@ -106,7 +107,7 @@ async def batches(request: Request) -> AsyncIterator[bytes]:
         except (StopAsyncIteration, ClientDisconnect) as end:
             failure = end
         except TimeoutError:
-            detail = f"the client sent nothing for {_IDLE_S:.0f} s"
+            detail = say("client_sent_nothing_s", seconds=_IDLE_S)
             failure = Problem(408, "UPLOAD_SILENT", detail, retryable=True)
         if len(batch) >= _BATCH_BYTES or (failure and batch):
             yield bytes(batch)
@@ -158,16 +159,14 @@ class _UploadFiles:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb")
         except (FileExistsError, NotADirectoryError, IsADirectoryError):
-            hints = ("rename the file or the folder",)
-            raise Problem(
-                400, "UPLOAD_NAMES", "a file and a folder have the same name", file=name, hints=hints
-            ) from None
+            hints = (say("rename_file_folder"),)
+            raise Problem(400, "UPLOAD_NAMES", say("file_folder_have_same_name"), file=name, hints=hints) from None
         self.received.files.append(name)
 
     def write(self, data: bytes) -> None:
         self.received.size += len(data)
         if self.received.size > self._limits.total_bytes:
-            detail = f"the upload is too large; at most {self._limits.total_bytes:,} bytes are allowed"
+            detail = say("upload_too_large_most_bytes", most=self._limits.total_bytes)
             raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=SEND_FEWER)
         if self._file is not None:
             self._file.write(data)
@@ -278,7 +277,7 @@ class _MultipartBody:
         self._text += data[start:end]
         if len(self._text) > _FIELD_BYTES:
             detail = f"a text field of the form is too large; at most {_FIELD_BYTES:,} bytes are allowed"
-            raise Problem(413, "UPLOAD_FIELD_TOO_LARGE", detail, hints=("send files with a file name",))
+            raise Problem(413, "UPLOAD_FIELD_TOO_LARGE", detail, hints=(say("send_files_with_file_name"),))
 
     def _on_part_end(self) -> None:
         if self._text is not None:
@@ -294,7 +293,7 @@ def _malformed() -> Problem:
     return Problem(
         400,
         "UPLOAD_MALFORMED",
-        "the multipart form is malformed or incomplete",
+        say("multipart_form_malformed_incomplete"),
         retryable=True,
-        hints=("send it again; the connection may have been interrupted",),
+        hints=(say("send_again_connection_may"),),
     )

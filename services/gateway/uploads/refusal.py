@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-SEND_FEWER = ("send fewer frames, for example every second one",)
+from capture2vr.sentences.sentence import say
+
+SEND_FEWER = (say("send_fewer_frames_example_every"),)
 
 
 @dataclass(slots=True)
@@ -20,5 +22,5 @@ class Refused(Exception):  # noqa: N818 - not a fault of ours
 
 def too_many_files(most: int) -> Refused:
     """Return the refusal of an upload with more files than `most`, in a form or in a zip."""
-    detail = f"the upload has too many files; at most {most:,} are allowed"
+    detail = say("upload_has_too_many_files", most=most)
     return Refused("UPLOAD_TOO_MANY_FILES", detail, hints=SEND_FEWER, status=413)

@@ -15,6 +15,7 @@ from capture2vr.gateway.uploads.image_checks import MAX_PIXELS, TooLargeError, c
 from capture2vr.gateway.uploads.refusal import Refused
 from capture2vr.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
 from capture2vr.order.raw_photos import is_raw_photo
+from capture2vr.sentences.sentence import say
 
 _CLEANERS: dict[Kind, Callable[[Buffer], CleanResult]] = {
     Kind.JPEG: jpeg.clean,
@@ -28,9 +29,9 @@ _CLEANERS: dict[Kind, Callable[[Buffer], CleanResult]] = {
     Kind.MATROSKA: matroska.clean,
 }
 _LEFT_OUT = {
-    Kind.UNKNOWN: "of no known format",
-    Kind.RAW: "raw photos are not read",
-    Kind.SIDECAR: "it only says where, when and by whom other files were made",
+    Kind.UNKNOWN: say("no_known_format"),
+    Kind.RAW: say("raw_photos_not_read"),
+    Kind.SIDECAR: say("only_says_where_when"),
 }
 _SIGNATURES = {Kind.JPEG: b"\xff\xd8\xff", Kind.PNG: b"\x89PNG\r\n\x1a\n"}
 
@@ -60,22 +61,22 @@ def validate(folder: Path, names: Iterable[str], begin: Callable[[str], None]) -
     names = sorted(names)
     only = names[0] if len(names) == 1 else ""
     if only and _kind(folder / only) is Kind.ARCHIVE:  # not a zip, which would have been unpacked before
-        hints = ("send a .zip, or the files themselves",)
-        detail = "this kind of archive is not supported"
+        hints = (say("send_zip_files_themselves"),)
+        detail = say("kind_archive_not_supported")
         raise Refused("CAPTURE_UNKNOWN_FORMAT", detail, only, hints)
     verdicts = [_check_file(folder, name, begin) for name in names]
     if not any(verdict.bytes for verdict in verdicts):
-        detail = "the file is empty" if only else "all files of the upload are empty"
-        raise Refused("CAPTURE_EMPTY", detail, only, ("choose other files",))
+        detail = say("file_empty") if only else say("all_files_upload_empty")
+        raise Refused("CAPTURE_EMPTY", detail, only, (say("choose_other_files"),))
     if not any(verdict.verdict == "ok" for verdict in verdicts):
         if raw := next((verdict for verdict in verdicts if is_raw_photo(verdict.file)), None):
-            hints = ("send the same photos as JPEG or HEIC",)
+            hints = (say("send_same_photos_as_jpeg"),)
             raise Refused("CAPTURE_UNKNOWN_FORMAT", _LEFT_OUT[Kind.RAW], raw.file, hints)
         raise Refused(
             "CAPTURE_UNKNOWN_FORMAT",
-            "no file of the upload is a photo, a video, a point cloud or a scan",
+            say("no_file_upload_photo_video"),
             verdicts[0].file,
-            ("send photos, a video, .ply, .pcd, .las, .e57, .obj or the export of a scanner app",),
+            (say("send_photos_video_ply_pcd"),),
         )
     return verdicts
 
@@ -85,12 +86,12 @@ def _check_file(folder: Path, name: str, begin: Callable[[str], None]) -> FileRe
     path = folder / name
     kind = _kind(path)
     if kind is Kind.ARCHIVE:
-        hints = ("send the archive by itself", "or unpack it and send the files")
-        raise Refused("ARCHIVE_NESTED", "the upload has an archive among other files", name, hints)
+        hints = (say("send_archive_by_itself"), say("or_unpack_send_files"))
+        raise Refused("ARCHIVE_NESTED", say("upload_has_archive_among_other"), name, hints)
     size = path.stat().st_size
     if kind in _LEFT_OUT:
         path.unlink()
-        return FileReport(name, size, "", f"left out: {_LEFT_OUT[kind]}", ())
+        return FileReport(name, size, "", say("left_out", why=_LEFT_OUT[kind]), ())
     stripped = _clean_file(kind, path, name) if kind in _CLEANERS else ()
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
@@ -110,7 +111,7 @@ def _clean_file(kind: Kind, path: Path, name: str) -> tuple[str, ...]:
     try:
         with map_file(path) as data:
             if not data[: len(_SIGNATURES.get(kind, b""))] == _SIGNATURES.get(kind, b""):
-                raise UnreadableError("this is not an image that can be read, although its name says so")
+                raise UnreadableError(say("not_image_can_be_read_although"))
             result = _CLEANERS[kind](data)
         if result.length < path.stat().st_size:
             os.truncate(path, result.length)
@@ -118,10 +119,10 @@ def _clean_file(kind: Kind, path: Path, name: str) -> tuple[str, ...]:
             with map_file(path) as data:
                 check_image(kind, path, data)
     except TooLargeError as error:
-        hints = (f"send images of at most {MAX_PIXELS // 1_000_000} megapixels",)
+        hints = (say("send_images_most_megapixels", most=MAX_PIXELS // 1000000),)
         raise Refused("IMAGE_TOO_LARGE", str(error), name, hints) from None
     except UnreadableError as error:
         code = "IMAGE_UNREADABLE" if kind in IMAGES else "CAPTURE_UNREADABLE"
-        hints = ("send the file again, or leave it out",)
+        hints = (say("send_file_again_leave"),)
         raise Refused(code, str(error), name, hints) from None
     return result.removed

@@ -47,6 +47,7 @@ from capture2vr.gateway.workers.worker_types import (
 )
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.process.grpc_security import NO_CREDENTIALS, ClientCredentials
+from capture2vr.sentences.documents import read_codes
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
 
 _log = logging.getLogger(__name__)
@@ -230,10 +231,7 @@ class WorkerPool:
             address,
             worker.version,
             worker.device,
-            tuple(
-                WorkerPreset(each.name, each.summary, each.trained, each.memory_bytes, each.literature, each.takes)
-                for each in worker.presets
-            ),
+            tuple(_preset(each) for each in worker.presets),
             worker.slots,
             worker.free_slots,
             worker.queued,
@@ -293,7 +291,7 @@ async def _inspect(client: GrpcClient, archive: Path, box: PhotoBox | None) -> I
         raise _to_exception(error.code(), error.details() or error.code().name) from None
     failure = problem_of(_failed(0, answer.failure)) if answer.HasField("failure") else None
     outline = tuple(tuple(zip(line.xy[::2], line.xy[1::2], strict=True)) for line in answer.outline)
-    warnings = tuple(answer.warnings)
+    warnings = _coded_warnings(answer)
     return Inspection(answer.kind, answer.format, answer.frames, answer.points, warnings, failure, outline)
 
 
@@ -324,7 +322,8 @@ def _report(event: pb.Event) -> Report:
         case "progress":
             step = event.progress
             stage = _stage(step.stage)
-            return RunProgress(event.seq, stage, step.fraction, dict(step.losses), step.eta_s, step.message)
+            message = read_codes(step.i18n, message=step.message)["message"]
+            return RunProgress(event.seq, stage, step.fraction, dict(step.losses), step.eta_s, message)
         case "anchors" if _are_anchors(event.anchors):
             xyz_m = tuple(round(value, 4) for value in event.anchors.xyz_m)
             return AnchorsFound(event.seq, xyz_m, tuple(event.anchors.rgb))
@@ -336,7 +335,8 @@ def _report(event: pb.Event) -> Report:
         case "failure":
             return _failed(event.seq, event.failure)
         case "finished":
-            return RunFinished(event.seq, tuple(event.finished.warnings), dict(event.finished.seconds))
+            warnings = _coded_warnings(event.finished)
+            return RunFinished(event.seq, warnings, dict(event.finished.seconds))
         case _:  # a heartbeat, anchors that cannot be shown, or a kind of event that only newer workers send
             return RunHeartbeat(event.seq)
 
@@ -353,9 +353,20 @@ def _are_anchors(anchors: pb.AnchorPoints) -> bool:
 
 
 def _failed(seq: int, failure: pb.Failure) -> RunFailed:
-    hints = tuple(failure.hints)
-    stage = _stage(failure.stage)
-    return RunFailed(seq, failure.code, failure.message, failure.file, hints, failure.retryable, stage)
+    said = read_codes(failure.i18n, message=failure.message, hints=list(failure.hints))
+    stage, hints = _stage(failure.stage), tuple(said["hints"])
+    return RunFailed(seq, failure.code, said["message"], failure.file, hints, failure.retryable, stage)
+
+
+def _coded_warnings(answer: pb.Inspection | pb.Finished) -> tuple[str, ...]:
+    return tuple(read_codes(answer.i18n, warnings=list(answer.warnings))["warnings"])
+
+
+def _preset(preset: pb.Preset) -> WorkerPreset:
+    said = read_codes(preset.i18n, summary=preset.summary, takes=preset.takes)
+    return WorkerPreset(
+        preset.name, said["summary"], preset.trained, preset.memory_bytes, preset.literature, said["takes"]
+    )
 
 
 def _stage(stage: int) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Json
 from capture2vr.storage.catalogue.asset_notes import Note, notes_of
 from capture2vr.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
@@ -140,7 +141,7 @@ def _parse(name: str, data: bytes) -> dict[str, Json]:
         if all(isinstance(file, dict) and isinstance(file.get("name"), str) for file in files):
             return document
     hint = "restore this object from a backup; the asset's files are still below assets/"
-    raise CatalogueFault(ENTRY_DAMAGED, name, "the asset's catalogue entry is damaged", hint=hint)
+    raise CatalogueFault(ENTRY_DAMAGED, name, say("asset_catalogue_entry_damaged"), hint=hint)
 
 
 def list_keys(store: Store, *, after: str = "", limit: int = 100) -> list[str]:

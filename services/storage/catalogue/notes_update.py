@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.asset_notes import MOST_NOTES, Note, NoteRefused, Place, check_place, check_text, unit
 from capture2vr.storage.catalogue.change_entry import change_entry
 from capture2vr.storage.catalogue.entry import Entry
@@ -30,7 +31,7 @@ def add_note(
 
     def changes(present: Entry, now: str) -> dict[str, Any]:
         if len(present.notes) >= MOST_NOTES:
-            raise NoteRefused(f"an asset has at most {MOST_NOTES} notes; remove one first")
+            raise NoteRefused(say("asset_has_most_notes_remove", most=MOST_NOTES))
         place = check_place(at, present.document)
         number = present.version
         note = Note(made, check_text(text), place, unit(normal), author, now, "", number, number)
@@ -79,7 +80,7 @@ def _note(present: Entry, note: str) -> Note:
     for each in present.notes:
         if each.id == note:
             return each
-    raise UnknownNote(f"asset {present.key} has no note {note}")
+    raise UnknownNote(say("asset_has_no_note", key=present.key, note=note))
 
 
 def _stored(notes: list[Note]) -> dict[str, Any]:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.sentences.documents import with_codes
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, Json
 from capture2vr.storage.catalogue.carried_notes import notes_of_next_version
 from capture2vr.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
@@ -68,8 +70,8 @@ class _PublishRequest:
     def check_not_elsewhere(self, present: Entry | None) -> None:
         """Raises KeyElsewhere where the key is an asset of another collection, unless that is allowed."""
         if present and not self.allow_other_collections and self.collection not in present.collections:
-            where = f"in collection {present.collections[0]}, not in {self.collection}"
-            raise KeyElsewhere(f"an asset with the key {present.key} exists already, {where}; choose another key")
+            where = say("in_collection", found=present.collections[0], wanted=self.collection)
+            raise KeyElsewhere(say("asset_with_key_exists_already_choose", key=present.key, where=where))
 
     def visibility_of(self, present: Entry | None) -> Visibility | None:
         """Return the asset's visibility from this version on. A job sets it once: with its first version, so that what
@@ -179,7 +181,7 @@ def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[StoredFile
         "lods": _lods(bundle.manifest, files),
         "files": [file.document() for file in files],
     }
-    return put_content(store, key, "manifest.json", canonical_json(document))
+    return put_content(store, key, "manifest.json", canonical_json(with_codes(document)))
 
 
 def _add_version(

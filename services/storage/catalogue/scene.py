@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAda
 
 from capture2vr.order.json_numbers import array_schema, require_number
 from capture2vr.order.one_line import one_line
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.entry import check_key
 from capture2vr.storage.catalogue.faults import SCENE_DAMAGED, CatalogueFault
 
@@ -30,7 +31,7 @@ STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 def _not_empty(name: str) -> str:
     if not name.strip():
-        raise ValueError("a scene needs a name")
+        raise ValueError(say("scene_needs_name"))
     return name
 
 
@@ -78,7 +79,7 @@ def check_ids(items: tuple[PlacedAsset, ...]) -> tuple[PlacedAsset, ...]:
     ids = [item.id for item in items]
     twice = next((each for each in ids if ids.count(each) > 1), None)
     if twice is not None:
-        raise ValueError(f"two things of the scene have the id {twice}")
+        raise ValueError(say("two_things_scene_have_id", id=twice))
     return items
 
 
@@ -118,5 +119,5 @@ def parse_scene(name: str, data: bytes) -> Scene:
     try:
         return _SCENE.validate_json(data)
     except ValidationError:
-        hint = "restore this object from a backup, or delete the scene"
-        raise CatalogueFault(SCENE_DAMAGED, name, "the scene's document is damaged", hint=hint) from None
+        hint = say("restore_object_from_backup_delete")
+        raise CatalogueFault(SCENE_DAMAGED, name, say("scene_document_damaged"), hint=hint) from None

@@ -11,6 +11,7 @@ import secrets
 import time
 from dataclasses import replace
 
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, read_mutable
 from capture2vr.storage.catalogue.faults import CatalogueFault
 from capture2vr.storage.catalogue.scene import PlacedAsset, Scene, parse_scene
@@ -27,7 +28,7 @@ class SceneChanged(Exception):  # noqa: N818 - not a fault: somebody else was fa
     """A scene is not the one that the change was made from. present: the one that it is now"""
 
     def __init__(self, present: Scene) -> None:
-        super().__init__(f"scene {present.id} is now version {present.version}")
+        super().__init__(say("scene_now_version", scene=present.id, version=present.version))
         self.present = present
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.collection import (
     RETIRED_SHARDS,
     SHARD_ROWS,
@@ -85,7 +86,7 @@ def change_visibility(store: Store, collection: str, visibility: Visibility | No
     def attempt() -> Index:
         data, etag = read_mutable(store, index_name(collection))
         if data is None:
-            raise FileNotFoundError(f"there is no collection {collection}")
+            raise FileNotFoundError(say("no_collection", name=collection))
         present = _read_current_index(data, collection, keys)
         if present.visibility == visibility:
             return present

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Json, content_name, sha256_hex
 from capture2vr.storage.catalogue.change_entry import change_entry
 from capture2vr.storage.catalogue.entry import Entry, read_entry
@@ -55,7 +56,7 @@ def _record_of(present: Entry, version: int) -> dict[str, Any]:
         if record["version"] == version:
             return record
     known = ", ".join(str(each["version"]) for each in present.versions)
-    raise UnknownVersion(f"asset {present.key} has no version {version}; it has {known}")
+    raise UnknownVersion(say("asset_has_no_version", key=present.key, version=version, known=known))
 
 
 def _facts_of(store: Store, present: Entry, version: int) -> dict[str, Any]:
@@ -65,7 +66,7 @@ def _facts_of(store: Store, present: Entry, version: int) -> dict[str, Any]:
     try:
         data = store.get(name)
     except FileNotFoundError:
-        raise CatalogueFault(MANIFEST_MISSING, name, f"the files of version {version} were deleted") from None
+        raise CatalogueFault(MANIFEST_MISSING, name, say("files_version_deleted", version=version)) from None
     sha256 = sha256_hex(data)
     if not name.endswith(f"/{content_name('manifest.json', sha256)}"):
         raise CatalogueFault(MANIFEST_CHANGED, name, "its content is not what its name says")
@@ -87,4 +88,4 @@ def _require_files(store: Store, files: list[dict[str, Any]]) -> None:
         try:
             store.head(file["name"])
         except FileNotFoundError:
-            raise CatalogueFault(FILE_MISSING, file["name"], "the file of the earlier version was deleted") from None
+            raise CatalogueFault(FILE_MISSING, file["name"], say("file_earlier_version_deleted")) from None

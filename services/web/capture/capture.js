@@ -15,7 +15,6 @@ import { element, fillList } from '../shared/dom.js';
 import { isConnectionProblem, offline } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { joinWords, splitWords } from '../shared/search-words.js';
-import { told } from '../shared/server-texts.js';
 import { t } from '../shared/texts.js';
 
 /** @import { JobOrder, KeptCapture } from '../shared/kept-captures.js' */
@@ -50,7 +49,7 @@ async function offerPresets() {
   const { presets, default: automatic } = await getJson('/v1/presets').catch(() => ({ presets: [], default: '' }));
   const others = presets.filter(({ name }) => name !== automatic);
   const first = presets.find(({ name }) => name === automatic);
-  if (first) page.preset.options[0].textContent = t('Automatic: {preset}', { preset: told(first.summary) || first.name });
+  if (first) page.preset.options[0].textContent = t('Automatic: {preset}', { preset: first.summary || first.name });
   page.preset.append(...others.filter((each) => !each.literature).map(presetOption));
   const literature = others.filter((each) => each.literature);
   if (!literature.length) return;
@@ -62,7 +61,7 @@ async function offerPresets() {
 
 /** The choice of a preset, with what it does and the time that it takes. @param {Presets['presets'][number]} preset */
 function presetOption({ name, summary, takes }) {
-  const words = [told(summary), takes && t('takes {time}', { time: told(takes) })].filter(Boolean).join('; ');
+  const words = [summary, takes && t('takes {time}', { time: takes })].filter(Boolean).join('; ');
   return new Option(words ? `${name}: ${words}` : name, name);
 }
 
@@ -185,7 +184,7 @@ async function showFields(capture) {
  * @param {CaptureReceipt} receipt
  */
 function showReceipt({ files = [] }) {
-  const lines = files.map(({ file, verdict, stripped = [] }) => [file, verdict === 'ok' ? stripped.join(', ') : told(verdict)])
+  const lines = files.map(({ file, verdict, stripped = [] }) => [file, verdict === 'ok' ? stripped.join(', ') : verdict])
     .filter(([, what]) => what).map(([file, what]) => `${file}: ${what}`);
   page.receipt.hidden = lines.length === 0;
   fillList(page.stripped, lines);

@@ -4,7 +4,7 @@ import { keepContinued } from './keeping.js';
 import { getJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { Problem } from '../shared/problems.js';
-import { told } from '../shared/server-texts.js';
+import { loadSentences, stored } from '../shared/stored-sentences.js';
 import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, CaptureSummary, Job, Manifest } from '../shared/types.d.ts' */
@@ -93,7 +93,8 @@ async function unseenSides(key) {
     const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
     /** @type {Manifest} */
     const { capture } = await getJson(entry.manifest.url);
-    return (capture?.unseen ?? []).map(({ advice }) => told(advice));
+    await loadSentences();
+    return (capture?.unseen ?? []).map(({ advice, advice_i18n: code }) => stored(advice, code));
   } catch {
     return []; // nothing published yet, or no connection
   }

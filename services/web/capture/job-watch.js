@@ -5,7 +5,6 @@ import { hideAnchors, showAnchors, showResult } from './result.js';
 import { followJob, getJson, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { Problem, toProblem } from '../shared/problems.js';
-import { told } from '../shared/server-texts.js';
 import { t } from '../shared/texts.js';
 
 /** @import { Job, JobState } from '../shared/types.d.ts' */
@@ -87,7 +86,7 @@ function cancelled({ preview }) {
 function showSuccess({ asset, warnings }) {
   page.work.hidden = true;
   page.ready.textContent = asset?.state === 'refined' ? t('It is ready, refined') : t('It is ready');
-  fillList(page.warnings, warnings.map(told));
+  fillList(page.warnings, warnings);
   document.body.dataset.state = 'done';
 }
 

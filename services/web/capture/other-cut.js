@@ -2,7 +2,7 @@
 import { showTrouble } from './page-state.js';
 import { postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
-import { told } from '../shared/server-texts.js';
+import { stored } from '../shared/stored-sentences.js';
 import { t } from '../shared/texts.js';
 
 /** @import { CaptureSummary, Cut, Job } from '../shared/types.d.ts' */
@@ -32,7 +32,7 @@ export function showCut(job, capture) {
   const choice = CUTS.find(({ kept }) => kept === cut?.kept);
   page.section.hidden = !cut || !choice;
   if (!cut || !choice) return;
-  page.kept.textContent = t('What was kept: {what}; {because}.', { what: choice.name, because: told(cut.because) }); // a doubt stands among the warnings
+  page.kept.textContent = t('What was kept: {what}; {because}.', { what: choice.name, because: stored(cut.because, cut.because_i18n) }); // a doubt stands among the warnings
   page.button.textContent = choice.offer;
   recut = () => repeatJob(job, choice.other);
 }

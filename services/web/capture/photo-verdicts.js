@@ -1,6 +1,6 @@
 // The lists of the result: which photos were used, why others were left out, and which sides need more photos.
 import { child, create, fillList } from '../shared/dom.js';
-import { told } from '../shared/server-texts.js';
+import { stored } from '../shared/stored-sentences.js';
 import { t } from '../shared/texts.js';
 
 /** @import { CaptureSummary, PhotoVerdict } from '../shared/types.d.ts' */
@@ -31,10 +31,10 @@ export function showVerdicts(details, { photos: verdicts = [], format } = {}) {
 }
 
 /** @param {PhotoVerdict} verdict */
-function verdictItem({ name, verdict, advice }) {
+function verdictItem({ name, verdict, advice, advice_i18n: code }) {
   const item = create('li');
   item.dataset.verdict = verdict;
-  item.append(create('strong', { textContent: name }), ` ${REASONS[verdict] ?? verdict}${advice ? `. ${told(advice)}` : ''}`);
+  item.append(create('strong', { textContent: name }), ` ${REASONS[verdict] ?? verdict}${advice ? `. ${stored(advice, code)}` : ''}`);
   return item;
 }
 
@@ -45,5 +45,5 @@ function verdictItem({ name, verdict, advice }) {
  */
 export function showUnseenSides(details, { unseen: sides = [] } = {}) {
   details.hidden = sides.length === 0;
-  fillList(child(details, 'ul', HTMLUListElement), sides.map(({ advice }) => told(advice)));
+  fillList(child(details, 'ul', HTMLUListElement), sides.map(({ advice, advice_i18n: code }) => stored(advice, code)));
 }

@@ -6,6 +6,7 @@ import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
 import { getJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
 import { formatCount, formatNumber } from '../shared/format.js';
+import { loadSentences } from '../shared/stored-sentences.js';
 import { t } from '../shared/texts.js';
 import { PREVIEW_MODULES_MS, withTimeLimit } from '../shared/time-limits.js';
 
@@ -136,6 +137,7 @@ function showWithoutPreview() {
 async function showManifest(job, entry) {
   /** @type {Partial<Manifest>} */
   const { quality, capture } = await getJson(entry.manifest.url).catch(() => ({}));
+  await loadSentences();
   showVerdicts(page.used, capture);
   showUnseenSides(page.unseen, capture);
   showCut(job, capture);

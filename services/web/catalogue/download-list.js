@@ -26,10 +26,7 @@ import { DOWNLOAD_ANSWER_MS } from '../shared/time-limits.js';
 export async function loadDownloads(url, places) {
   /** @type {DownloadList} */
   const { downloads } = await getJson(url);
-  return downloads.map((each) => {
-    const download = { ...each, title: t(each.title), about: t(each.about) }; // the server tells them in English
-    return { download, item: createItem(download, places) };
-  });
+  return downloads.map((download) => ({ download, item: createItem(download, places) }));
 }
 
 /**

@@ -20,7 +20,6 @@ import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
 import { formatRounded } from '../shared/format.js';
 import { Problem, sentences } from '../shared/problems.js';
-import { told } from '../shared/server-texts.js';
 import { t } from '../shared/texts.js';
 
 /** @import { ShownVersion } from './shown-version.js' */
@@ -328,7 +327,7 @@ async function start() {
   if (!session?.scopes.includes('capture')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Editing needs an access key that may capture.') });
   /** @type {Presets} */
   const { presets } = await getJson('/v1/presets');
-  element('preset', HTMLSelectElement).append(...presets.map(({ name, summary }) => create('option', { value: name, textContent: `${name}: ${told(summary)}` })));
+  element('preset', HTMLSelectElement).append(...presets.map(({ name, summary }) => create('option', { value: name, textContent: `${name}: ${summary}` })));
   await open();
 }
 

@@ -1,6 +1,5 @@
 // Progress of an upload and of a job: the bar, the list of stages, the time left, and the curve of the training's loss.
 import { create, element } from './dom.js';
-import { told } from './server-texts.js';
 import { t } from './texts.js';
 
 /** @import { JobProgress } from './types.d.ts' */
@@ -67,12 +66,12 @@ export function startJobProgress() {
  * Shows how far a job is. The bar never goes back.
  * @param {JobProgress} progress
  */
-export function showJobProgress({ stage, fraction, message, eta_s: eta = 0, losses }) {
+export function showJobProgress({ stage, fraction, message = '', message_i18n: said, eta_s: eta = 0, losses }) {
   if (typeof fraction === 'number') page.bar.value = Math.max(page.bar.value, fraction);
   const current = STAGES.findIndex(([name]) => name === stage);
   page.title.textContent = current < 0 ? t('Waiting for a worker') : STAGES[current][1];
-  const timeLeft = eta >= LEAST_ETA_S && !message?.endsWith(' left') ? t('about {time} left', { time: durationText(eta) }) : '';
-  page.detail.textContent = [told(message ?? ''), timeLeft].filter(Boolean).join(' · ');
+  const timeLeft = eta >= LEAST_ETA_S && !['s_left', 'min_left'].includes(said?.code ?? '') ? t('about {time} left', { time: durationText(eta) }) : '';
+  page.detail.textContent = [message, timeLeft].filter(Boolean).join(' · ');
   stageItems.forEach((item, place) => showStage(item, place - current));
   if (losses?.total) showLoss(losses.total);
 }

@@ -1,5 +1,4 @@
 // Problems as exceptions, and the sentences of those that arise on the device. Modules that a worker loads need them too, which has no page.
-import { told } from './server-texts.js';
 import { t } from './texts.js';
 
 /** @import { ProblemDocument } from './types.d.ts' */
@@ -8,10 +7,10 @@ import { t } from './texts.js';
 export class Problem extends Error {
   /** @param {ProblemDocument} document */
   constructor(document) {
-    super(told(document.detail || document.title || '') || t('Something went wrong.'));
+    super(document.detail || document.title || t('Something went wrong.'));
     this.code = document.code || 'UNKNOWN';
     this.file = document.file || '';
-    this.hints = (document.hints || []).map(told);
+    this.hints = document.hints || [];
     this.status = document.status || 0;
   }
 }

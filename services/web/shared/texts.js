@@ -7,14 +7,8 @@ const page = /** @type {{ document?: PageDocument }} */ (/** @type {unknown} */ 
 /** The language of the page: the gateway has chosen it among those that the browser prefers. */
 export const language = page?.documentElement.lang || 'en';
 
-/**
- * A table of translations that the gateway has put into the page; none in an English page.
- * @param {string} id of its element
- * @returns {Record<string, string>}
- */
-export const readTable = (id) => JSON.parse(page?.getElementById(id)?.textContent || '{}');
-
-const translations = readTable('texts'); // of texts.json
+/** @type {Record<string, string>} */
+const translations = JSON.parse(page?.getElementById('texts')?.textContent || '{}'); // of this page's sentences; none in an English page
 
 /**
  * Translates a sentence of a page.

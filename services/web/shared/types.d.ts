@@ -173,11 +173,21 @@ export interface QualityFigures {
   photos?: { cover: number } | null;
 }
 
+/** A value of a sentence: a text, a number, or a sentence with its English. */
+export type SentenceValue = string | number | SentenceCode & { text?: string } | SentenceValue[];
+
+/** What a sentence beside it is made from, whatever its language. */
+export interface SentenceCode {
+  code: string;
+  values: Record<string, SentenceValue>;
+}
+
 /** Whether a photo was used. `verdict`: "ok", or why it was left out. */
 export interface PhotoVerdict {
   name: string;
   verdict: string;
   advice: string;
+  advice_i18n?: SentenceCode;
 }
 
 /** What was captured. `unseen`: sides of the object that it shows too little of. */
@@ -186,7 +196,7 @@ export interface CaptureSummary {
   format?: string;
   frames?: number;
   photos?: PhotoVerdict[];
-  unseen?: { advice: string }[];
+  unseen?: { advice: string; advice_i18n?: SentenceCode }[];
   cut?: CutReport | null;
   up?: { source: string; confidence: number } | null;
 }
@@ -195,6 +205,7 @@ export interface CaptureSummary {
 export interface CutReport {
   kept: 'object' | 'scene';
   because: string;
+  because_i18n?: SentenceCode;
 }
 
 /** A few coloured points that are shown until the mesh is loaded: flat lists of metres and of sRGB bytes. */
@@ -211,8 +222,10 @@ export interface Manifest {
   anchors?: AnchorPoints;
   edits?: Edits;
   warnings?: string[];
+  warnings_i18n?: (SentenceCode | null)[];
   preset?: string;
   preset_because?: string;
+  preset_because_i18n?: SentenceCode;
   target?: string;
   generator?: string;
   files: AssetFile[];
@@ -434,6 +447,7 @@ export interface JobProgress {
   fraction?: number;
   eta_s?: number;
   message?: string;
+  message_i18n?: SentenceCode;
   losses?: { total?: number };
 }
 

@@ -1,7 +1,7 @@
 // The panel of the viewer's page that says in plain words how good a thing is, what to mind, what to shoot again, and how it was made.
 import { create, element } from '../shared/dom.js';
 import { formatCount, formatNumber, stateText } from '../shared/format.js';
-import { told } from '../shared/server-texts.js';
+import { allStored, loadSentences, stored } from '../shared/stored-sentences.js';
 import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, CaptureSummary, Manifest, QualityFigures } from '../shared/types.d.ts' */
@@ -37,7 +37,7 @@ const UP_TELLERS = {
  * @throws {Problem} as `loadManifest`
  */
 export async function showAbout(entry, loadManifest) {
-  const manifest = await loadManifest(entry);
+  const [manifest] = await Promise.all([loadManifest(entry), loadSentences()]);
   const sections = sectionsOf(entry, manifest).filter(([, lines]) => lines.length > 0);
   element('about-text', HTMLElement).replaceChildren(...sections.flatMap(sectionElements));
   document.body.dataset.about = String(entry.version);
@@ -56,11 +56,11 @@ function sectionElements([title, lines]) {
  * @returns {Section[]}
  */
 function sectionsOf(entry, manifest) {
-  const { quality, warnings = [], capture = {} } = manifest;
+  const { quality, warnings = [], warnings_i18n: codes, capture = {} } = manifest;
   return [
     [t('How good it is'), quality ? qualityLines(quality, entry) : []],
-    [t('Warnings'), warnings.map(told)],
-    [t('To see more of it'), (capture.unseen ?? []).map(({ advice }) => told(advice))],
+    [t('Warnings'), allStored(warnings, codes)],
+    [t('To see more of it'), (capture.unseen ?? []).map(({ advice, advice_i18n: code }) => stored(advice, code))],
     [t('How it was made'), originLines(entry, manifest)],
   ];
 }
@@ -102,15 +102,15 @@ function distanceText(share, { size_m: size, scale_confidence: confidence }) {
  * @param {AssetEntry} entry
  * @param {Manifest} manifest
  */
-function originLines(entry, { capture = {}, preset, preset_because: because, target, generator }) {
+function originLines(entry, { capture = {}, preset, preset_because: because, preset_because_i18n: becauseCode, target, generator }) {
   const made = entry.versions?.find(({ version }) => version === entry.version)?.created;
   const { cut, up } = capture;
   return [
     captureText(capture),
-    cut ? t('Kept: {what}; {because}.', { what: KEPT[cut.kept] ?? cut.kept, because: told(cut.because) }) : '',
+    cut ? t('Kept: {what}; {because}.', { what: KEPT[cut.kept] ?? cut.kept, because: stored(cut.because, cut.because_i18n) }) : '',
     SCALES[entry.scale_confidence] ?? '',
     up ? t('Which way is up was told {how}, with {percent} confidence.', { how: UP_TELLERS[up.source] ?? up.source, percent: percent(up.confidence) }) : '',
-    preset ? `${[t('Preset {preset}', { preset }), because && t('as {because}', { because: told(because) }), target && t('for {target}', { target })].filter(Boolean).join(', ')}.` : '',
+    preset ? `${[t('Preset {preset}', { preset }), because && t('as {because}', { because: stored(because, becauseCode) }), target && t('for {target}', { target })].filter(Boolean).join(', ')}.` : '',
     `${[
       t('Version {version}', { version: entry.version }),
       stateText(entry.state),

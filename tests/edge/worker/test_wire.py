@@ -276,13 +276,13 @@ NUMBERS = {
     "AttachRequest": "job after_seq token",
     "CancelRequest": "job token",
     "Box": "left top right bottom",
-    "Inspection": "kind format frames points warnings failure outline",
-    "Preset": "name summary trained memory_bytes literature takes",
+    "Inspection": "kind format frames points warnings failure outline i18n",
+    "Preset": "name summary trained memory_bytes literature takes i18n",
     "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",
     "Event": "job seq elapsed_s progress heartbeat published failure finished anchors",
-    "Failure": "code message file hints retryable stage",
+    "Failure": "code message file hints retryable stage i18n",
     "Published": "asset_key version state manifest collection",
-    "Progress": "stage fraction losses eta_s message",
+    "Progress": "stage fraction losses eta_s message i18n",
 }
 
 

@@ -8,7 +8,9 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from capture2vr.gateway.languages import in_language
 from capture2vr.gateway.page_texts import german_texts
+from capture2vr.sentences.sentence import capitalised, in_row, say
 from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data
 from tests.support.sites import Site
@@ -66,22 +68,41 @@ def test_the_other_pages_speak_german(german: Page, site: Site) -> None:
         assert english_left(german) == [], path
 
 
-ALIGNED = (
-    "the photos form separate groups of 5 and 4 without overlap; only the largest was used, "
-    "without a.jpg, b.jpg and 3 more"
+ALIGNED = say(
+    "without_left_out",
+    what=say("photos_form_separate_groups_without", sizes=say("one_and_more", what=5, more=4)),
+    left_out=say("names_and_more", names="a.jpg, b.jpg", count=3),
 )
-NOT_BETTER = (
-    "training did not improve on the preview: the refined surface covers fewer points, has more separate pieces: "
-    "mean distance to 1,000 held-out points 0.00200, was 0.00100 (± 0.00010); coverage 0.980, was 0.990; "
-    "pieces 3, was 1"
+NOT_BETTER = say(
+    "training_did_not_improve",
+    why=say(
+        "refined_surface",
+        faulty=in_row(", ", (say("covers_fewer_points"), say("has_more_separate_pieces"))),
+        figures=say(
+            "mean_distance_to_coverage_pieces",
+            count=1000,
+            which=say("held_out_points"),
+            number=0.002,
+            before=0.001,
+            error=0.0001,
+            coverage=0.98,
+            earlier=0.99,
+            pieces=3,
+            pieces_before=1,
+        ),
+    ),
 )
-CONTRADICTED = (
-    "The camera poses contradict the depth images: by these poses, the cameras see through 45% of what their "
-    "neighbours saw. They were not used: the camera's way was computed from the images."
+CONTRADICTED = say(
+    "they_not_used_camera_way", fault=capitalised(say("camera_poses_contradict_depth_images", share=0.45))
 )
-OF_MANY = " and ".join(["code"] * 60) + ".jpg: has no points"
-"""A file may be named so: each of its words is one that a sentence may quote."""
-SIDE = "Shoot from behind on the left, higher up, as seen in the first picture: 12% of the thing is seen too little."
+OF_MANY = in_row(": ", ("has no points.jpg", say("has_no_points")))
+"""A file may be named so: as a sentence that is translated elsewhere."""
+SIDE = say(
+    "shoot_from_as_seen",
+    side=say("higher_up", side=say("behind_on_left")),
+    reason=say("thing_seen_too_little", share=0.12),
+)
+STORED = (ALIGNED, NOT_BETTER, CONTRADICTED, OF_MANY, SIDE, say("noise_point_spacings_hides_finer", noise=0.5))
 
 
 def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> None:
@@ -90,7 +111,7 @@ def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> Non
         "Schale",
         GREEN,
         warnings=[
-            "schale.ply: has no points",
+            in_row(": ", ("schale.ply", say("has_no_points"))),
             NOT_BETTER,
             ALIGNED,
             CONTRADICTED,
@@ -99,7 +120,7 @@ def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> Non
         ],
         capture={"unseen": [{"advice": SIDE, "share": 0.12, "direction": [0, 0, 1]}]},
         preset="standard",
-        preset_because="1,200 points are too few to train on",
+        preset_because=say("points_too_few_to_train", count=1200),
     )
     publish(told, site.store, key="german-told")
     german.goto(f"{site.url}/view/german-told")
@@ -118,10 +139,33 @@ def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> Non
     expect(about).to_contain_text(
         "Die Kamerastellungen widersprechen den Tiefenbildern: danach sehen die Kameras durch 45%"
     )
-    expect(about).to_contain_text("code and code.jpg: hat keine Punkte")
+    expect(about).to_contain_text("has no points.jpg: hat keine Punkte")
     expect(about).to_contain_text("It is cracked and has no name.")
     expect(about).to_contain_text("Nimm hinten links, von höher oben auf, gesehen wie im ersten Bild")
     expect(about).to_contain_text("1.200 Punkte sind zu wenige zum Trainieren")
+
+
+def test_a_page_and_the_gateway_translate_alike(german: Page, site: Site) -> None:
+    """The scripts fill in the values as Python does, whose formats the catalogue has."""
+    german.goto(f"{site.url}/login")
+    told = german.evaluate(
+        """async (sentences) => {
+            const { loadSentences, stored } = await import('/web/shared/stored-sentences.js');
+            await loadSentences();
+            return sentences.map(({ text, ...coded }) => stored(text, coded));
+        }""",
+        [{"text": each.english, **each.coded} for each in STORED],
+    )
+    assert told == [in_language(each, "de") for each in STORED]
+
+
+def test_stored_sentences_stay_english_where_the_catalogue_does_not_come(german: Page, site: Site) -> None:
+    publish(box("Schale", GREEN, warnings=[say("has_no_points")]), site.store, key="german-alone")
+    german.route("**/web/sentences/*", lambda route: route.abort())
+    german.goto(f"{site.url}/view/german-alone")
+    await_data(german, loaded="2 1 0")
+    german.get_by_text("Über das Ding", exact=True).click()
+    expect(german.locator("#about-text")).to_contain_text("has no points")
 
 
 def test_what_is_wrong_with_a_capture_is_said_in_german(german: Page, site: Site) -> None:

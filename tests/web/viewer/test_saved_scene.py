@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
-from capture2vr.gateway.routes.pages import WEB
+from capture2vr.gateway.page_texts import WEB
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.catalogue.removal import remove, restore
 from capture2vr.storage.catalogue.scene import PlacedAsset

@@ -1,0 +1,28 @@
+"""Wire messages with sentences for people: each carries the sentences' codes and values beside their English."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.sentences.documents import codes_as_json
+
+
+def coded_progress(
+    message: str,
+    *,
+    stage: pb.Stage | str = pb.STAGE_UNSPECIFIED,
+    fraction: float = 0.0,
+    losses: Mapping[str, float] | None = None,
+) -> pb.Progress:
+    """Return a progress report with its sentence's code."""
+    i18n = codes_as_json(message=message)
+    return pb.Progress(message=message, i18n=i18n, stage=stage, fraction=fraction, losses=losses)
+
+
+def coded_failure(
+    code: str, message: str, *, file: str = "", hints: tuple[str, ...] = (), retryable: bool = False
+) -> pb.Failure:
+    """Return a failure with its sentences' codes."""
+    i18n = codes_as_json(message=message, hints=hints)
+    return pb.Failure(code=code, message=message, file=file, hints=hints, retryable=retryable, i18n=i18n)
