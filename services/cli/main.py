@@ -270,9 +270,9 @@ def ls(
     max_mb: Annotated[float | None, typer.Option(min=0, help="List only assets of so many megabytes or less.")] = None,
 ) -> None:
     """List the assets of a collection."""
-    from capture2vr.cli.remote.assets import AssetSearch, list_assets
+    from capture2vr.cli.remote.assets import AssetFilter, list_assets
 
-    wanted = AssetSearch(label, state, since, until, min_mb, max_mb)
+    wanted = AssetFilter(label, state, since, until, min_mb, max_mb)
     list_assets(gateway, collection=collection, wanted=wanted)
 
 

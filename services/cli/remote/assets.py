@@ -20,7 +20,7 @@ _MB = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class AssetSearch:
+class AssetFilter:
     """What the assets of a list have in common; what is None or "" does not matter.
 
     since, until    days of the last change, both included, in the time zone of this machine
@@ -54,7 +54,7 @@ class AssetSearch:
         return {"label": self.label, "state": self.state, **asked}
 
 
-def list_assets(gateway: str, *, collection: str, wanted: AssetSearch) -> int:
+def list_assets(gateway: str, *, collection: str, wanted: AssetFilter) -> int:
     """Print the assets of a collection that are wanted, and return their number. Raises BadInput."""
     check_collection(collection)
     with open_gateway(gateway) as client:
