@@ -28,7 +28,7 @@ TOP_ROOMS = {
         "preset": ("preset", "preset_choice"),
     },
     "gateway": {
-        SHARED: ("errors", "database_faults"),
+        SHARED: ("errors", "database_faults", "languages"),
         "app": ("__main__", "app", "middleware", "opening", "running", "server"),
         "schemas": ("schemas", "settings", "metrics"),
     },
@@ -38,7 +38,7 @@ TOP_ROOMS = {
     },
 }
 WHOLE = ("cli", "client", "library", "web")  # services that are one room
-BELOW_ALL = ("order", "process")  # every service may import them, and arrows to them say nothing
+BELOW_ALL = ("order", "process", "sentences")  # every service may import them, and arrows to them say nothing
 LEFT_OUT = ("api", "presets")  # generated code; settings
 
 WAY = (
