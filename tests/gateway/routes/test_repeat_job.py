@@ -29,8 +29,9 @@ async def test_everything_but_the_cut_stays(tmp_path: Path) -> None:
         same = ("capture", "asset_key", "label", "preset")
         assert [again[name] for name in same] == [first[name] for name in same]
     earlier, later = (stored_order(tmp_path / "gw", each["id"]) for each in (first, again))
-    assert later == replace(earlier, cut="scene")
-    assert (earlier.longest_m, earlier.fill, earlier.target) == (0.31, "all", "quest3")
+    assert later == replace(earlier, options=replace(earlier.options, cut="scene"))
+    options = earlier.options
+    assert (options.longest_m, options.fill, options.target) == (0.31, "all", "quest3")
 
 
 def stored_order(data_dir: Path, job: str) -> Order:
