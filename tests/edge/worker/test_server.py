@@ -85,20 +85,21 @@ async def test_a_job_runs_to_its_end(client: Client, work: Scripted, scratch: Pa
     assert [event.WhichOneof("what") for event in events] == ["progress"] * 3 + ["published", "finished"]
     assert events[-1].finished == pb.Finished(warnings=["one"], seconds={"FITTING": 1.5})
     seen = work.seen["job_1"]
-    assert (seen.preset, seen.cut, seen.fence, seen.names.label) == ("fine", "object", 7, "dress")
+    options = seen.options
+    assert (options.preset, options.cut, seen.fence, options.names.label) == ("fine", "object", 7, "dress")
     assert leftovers(scratch) == []
 
 
 @pytest.mark.parametrize(
     ("header", "cut", "longest_m"),
-    [({}, "auto", None), ({"cut": "scene", "longest_m": 0.31}, "scene", 0.31)],
+    [({}, "", None), ({"cut": "scene", "longest_m": 0.31}, "scene", 0.31)],
 )
 async def test_what_was_left_open_stays_open(
     client: Client, work: Scripted, header: dict[str, object], cut: str, longest_m: float | None
 ) -> None:
     await client.ended(b"ticks 1", **header)
-    seen = work.seen["job_1"]
-    assert (seen.cut, seen.longest_m) == (cut, longest_m)
+    options = work.seen["job_1"].options
+    assert (options.cut, options.longest_m) == (cut, longest_m)
 
 
 async def test_the_fraction_never_goes_back(client: Client) -> None:
@@ -390,7 +391,7 @@ async def test_whatever_callers_do_every_job_ends_once_and_leaves_nothing(scratc
 
 async def test_the_first_preset_is_the_default(client: Client, work: Scripted) -> None:
     await client.ended(b"ticks 1")
-    assert work.seen["job_1"].preset == "draft"
+    assert work.seen["job_1"].options.preset == "draft"
 
 
 async def test_a_preset_that_never_fits_is_refused_before_the_upload(client: Client) -> None:
