@@ -308,7 +308,7 @@ def test_doctor_finds_nothing_bad(url: str, tmp_path: Path) -> None:
 # is tested beside it asks for a gateway at the default one. Two minutes of a core become a quarter of one.
 DEMO = """
 import functools, sys
-from capture2vr.cli import demo, demo_phone
+from capture2vr.cli.demonstration import demo, demo_phone
 from capture2vr.cli.main import main
 demo._PRESET = "coarse"
 demo.DEFAULT_PORT = 0
