@@ -99,7 +99,7 @@ class PublicKeyPage(BaseModel):
     keys: list[PublicKeyView]
 
 
-class AssetSearch(BaseModel):
+class RowSearch(BaseModel):
     """What a search in a collection asks for, in the query of its URL."""
 
     label: str = Field("", max_length=200, description="Part of the label, or one of the labels; case is ignored.")
@@ -150,7 +150,7 @@ async def get_collection(name: Name, request: Request) -> Response:
     dependencies=[READS_COLLECTION],
     responses=problems(404, 422, 503),
 )
-async def search_collection(name: Name, request: Request, search: Annotated[AssetSearch, Query()]) -> RowPage:
+async def search_collection(name: Name, request: Request, search: Annotated[RowSearch, Query()]) -> RowPage:
     """Search a collection's assets by label, state, date and size, without removed ones. Without any, list all."""
     require_collection(name, say("check_name_in_url"))
     if search.after and not valid_key(search.after):
