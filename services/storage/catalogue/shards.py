@@ -21,6 +21,11 @@ def split_rows(rows: Sequence[Row]) -> list[Sequence[Row]]:
     return [rows[:half], rows[half:]]
 
 
+def full_shards(rows: Sequence[Row]) -> list[Sequence[Row]]:
+    """Cut rows into as few shards as hold them."""
+    return [rows[start : start + SHARD_ROWS] for start in range(0, len(rows), SHARD_ROWS)]
+
+
 def write_shards(store: Store, collection: str, parts: Sequence[Sequence[Row]], version: int) -> list[Shard]:
     """Write shards to the store, and return the records that the index will list."""
     shards = []

@@ -13,7 +13,6 @@ from dataclasses import replace
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.collection import (
     RETIRED_SHARDS,
-    SHARD_ROWS,
     Index,
     Row,
     Shard,
@@ -34,7 +33,7 @@ from capture2vr.storage.catalogue.faults import (
     SIGNING_KEY_MISSING,
     CatalogueFault,
 )
-from capture2vr.storage.catalogue.shards import delete_shards, split_rows, write_shards
+from capture2vr.storage.catalogue.shards import delete_shards, full_shards, split_rows, write_shards
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.catalogue.visibility import Visibility, lists
 from capture2vr.storage.store import ConditionFailed, Store
@@ -255,8 +254,7 @@ def _replace_all(
     store: Store, present: Index, rows: Sequence[Row], version: int, keys: Keys, etag: str | None
 ) -> Index:
     """Write an index that lists these rows alone, in place of the present one."""
-    parts = [rows[start : start + SHARD_ROWS] for start in range(0, len(rows), SHARD_ROWS)]
-    new_shards = write_shards(store, present.collection, parts, version)
+    new_shards = write_shards(store, present.collection, full_shards(rows), version)
     retired = (*present.retired, *(shard.sha256 for shard in present.shards))
     index = Index(present.collection, version, now_iso(), tuple(new_shards), retired, present.visibility)
     return _replace_index(store, index, new_shards, keys, etag)

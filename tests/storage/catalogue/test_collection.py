@@ -46,6 +46,7 @@ from capture2vr.storage.catalogue.faults import (
 )
 from capture2vr.storage.catalogue.publish import KeyElsewhere, PublishedAsset, publish
 from capture2vr.storage.catalogue.removal import remove, restore
+from capture2vr.storage.catalogue.shards import full_shards, write_shards
 from capture2vr.storage.catalogue.signing import Keys
 from capture2vr.storage.catalogue.update import rebuild, update_collections
 from capture2vr.storage.local import LocalStore
@@ -120,7 +121,7 @@ def test_shards_split_and_stay_in_order(keys: list[str]) -> None:
     """With shards of at most 4 rows: every key exactly once, each update rewrites at most two shards."""
     store = MemoryStore()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(update, "SHARD_ROWS", 4)
+        patch.setattr("capture2vr.storage.catalogue.shards.SHARD_ROWS", 4)
         patch.setattr(update, "RETIRED_SHARDS", 3)
         before: set[str] = set()
         for number, key in enumerate(keys):
@@ -536,8 +537,7 @@ def test_ten_thousand_assets_fit_a_client_and_an_update(tmp_path: Path) -> None:
         )
         for n in range(10_000)
     ]
-    parts = [many[start : start + 1000] for start in range(0, len(many), 1000)]
-    shards = update._write_shards(store, "default", parts, 2)
+    shards = write_shards(store, "default", full_shards(many), 2)
     index = Index("default", 2, "2026-01-01T00:00:00Z", tuple(shards), ("0" * 64,) * RETIRED_SHARDS)
     store.put(INDEX, sign_index(index, SIGNED.signers), content_type="application/json")
     assert len(store.get(INDEX)) + sum(shard.bytes for shard in index.shards) < 1_500_000

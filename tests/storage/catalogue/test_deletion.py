@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from capture2vr.storage.catalogue import update
 from capture2vr.storage.catalogue.collection import index_name, read_index
 from capture2vr.storage.catalogue.deletion import delete_asset, delete_everything
 from capture2vr.storage.catalogue.publish import publish
@@ -100,7 +99,7 @@ def test_a_key_can_be_used_again() -> None:
 
 
 def test_the_rows_of_a_whole_shard(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update, "SHARD_ROWS", 4)
+    monkeypatch.setattr("capture2vr.storage.catalogue.shards.SHARD_ROWS", 4)
     store = MemoryStore()
     keys = ["a", "b", "c", "d", "e"]
     for key in keys:
