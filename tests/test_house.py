@@ -38,7 +38,6 @@ LONG_FILES = {
     "process/archives.py",
 }
 COMPLEX = {
-    "cli/remote/pull.py:_install",
     "edge/clouds/gltf.py:_check",
     "edge/clouds/obj.py:read",
     "edge/clouds/pcd.py:_header",

@@ -245,12 +245,7 @@ def _install(out: Path, files: dict[str, Path], manifest: bytes) -> None:
     where a file or folder of somebody else has the name of one.
     """
     out.mkdir(parents=True, exist_ok=True)
-    if blocked := next((out / name for name in (*files, MANIFEST) if (out / name).is_dir()), None):
-        raise BadInput(f"{blocked} is a folder, but a file must be written there; choose another folder with -o")
-    ours = names_of_both(out)
-    for name in (*files, MANIFEST):
-        if name not in ours and (out / name).exists() and not _is_same(out / name, files.get(name)):
-            raise BadInput(f"{out / name} is of no earlier pull, and would be replaced; choose another folder with -o")
+    _check_free(out, files)
     outdated = [path for path in files_of_pull(out) if path.name not in files]
     staging = out / ".pulling"
     shutil.rmtree(staging, ignore_errors=True)  # left by a command that was killed
@@ -265,6 +260,16 @@ def _install(out: Path, files: dict[str, Path], manifest: bytes) -> None:
             path.unlink()
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _check_free(out: Path, files: dict[str, Path]) -> None:
+    """Raises BadInput where a folder, or a file of somebody else, has the name of one of the files."""
+    if blocked := next((out / name for name in (*files, MANIFEST) if (out / name).is_dir()), None):
+        raise BadInput(f"{blocked} is a folder, but a file must be written there; choose another folder with -o")
+    ours = names_of_both(out)
+    for name in (*files, MANIFEST):
+        if name not in ours and (out / name).exists() and not _is_same(out / name, files.get(name)):
+            raise BadInput(f"{out / name} is of no earlier pull, and would be replaced; choose another folder with -o")
 
 
 def _is_same(path: Path, cached: Path | None) -> bool:
