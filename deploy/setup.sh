@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Prepare this checkout to run on Debian with Python 3.11 or newer.
 #   setup.sh product   .venv with the product (enough for `make demo`)
-#   setup.sh tests     also what the tests drive: Chromium, Node, an S3 server, mono, the Docker command line, what unpacks Godot
+#   setup.sh tests     also what the tests drive: Chromium, Node, mono, the Docker command line, what unpacks Godot
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
@@ -40,7 +40,6 @@ tests() {
   have chromium-headless-shell || have chromium || packages+=(chromium-headless-shell)
   have node || packages+=(nodejs)
   have npm || packages+=(npm)
-  have radosgw || packages+=(radosgw ceph-mon ceph-osd ceph-common)
   have curl || packages+=(curl)
   compgen -G '/usr/lib/postgresql/*/bin/postgres' >/dev/null || packages+=(postgresql)
   have nginx || packages+=(nginx-core)

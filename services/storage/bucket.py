@@ -22,7 +22,7 @@ PUBLIC_PREFIXES = ("assets/", "collections/", "tenants/*/assets/", "tenants/*/co
 """Objects that the edge cache reads without credentials; who may read them through it, the gateway says."""
 
 WAIT_S = 120.0
-"""Seconds that a service gets to start: the RADOS Gateway takes up to a minute on a busy machine."""
+"""Seconds that a service gets to start: some take up to a minute on a busy machine."""
 
 _PAUSE_S = 1.0
 

@@ -1,4 +1,4 @@
-"""An object store on any S3-compatible service: AWS, MinIO, Ceph's RADOS Gateway, R2, ..."""
+"""An object store on any S3-compatible service: AWS, MinIO, SeaweedFS, R2, ..."""
 
 from __future__ import annotations
 
@@ -92,7 +92,11 @@ class S3Store:
     def close_to_strangers(self) -> None:
         """Delete the bucket's policy: nobody reads it without credentials or a presigned URL."""
         with _translate_errors(self._bucket):
-            self._client.delete_bucket_policy(Bucket=self._bucket)
+            try:
+                self._client.delete_bucket_policy(Bucket=self._bucket)
+            except ClientError as error:
+                if error.response["Error"].get("Code") != "NoSuchBucketPolicy":  # AWS takes none for deleted
+                    raise
 
     def put(
         self,
@@ -221,7 +225,7 @@ def _is_aws(endpoint: str) -> bool:
 
 
 def _condition_arguments(if_match: str | None, if_absent: bool) -> dict[str, str]:
-    # The etag is sent without quotes: the RADOS Gateway compares the header literally with its own unquoted etag, so a
+    # The etag is sent without quotes: some servers compare the header literally with their own unquoted etag, so a
     # quoted one never matches. MinIO and AWS accept both.
     matching = {"IfMatch": if_match} if if_match is not None else {}
     return matching | ({"IfNoneMatch": "*"} if if_absent else {})

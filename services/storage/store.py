@@ -22,6 +22,9 @@ _SEGMENT = r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,199}"
 _NAME = re.compile(rf"{_SEGMENT}(/{_SEGMENT})*")
 _NAME_LIMIT = 512  # characters: S3 takes 1,024 bytes; ours have about 150
 
+LAST = "/~"
+"""Added to a folder's name, it sorts behind all objects in the folder, for no name has a "~". `list` after it skips them."""
+
 
 class ConditionFailed(Exception):  # noqa: N818 - not a fault: somebody else was faster
     """A conditional put was refused: the object is not the one in `if_match`, or exists despite `if_absent`.
@@ -84,7 +87,11 @@ class Store(Protocol):
         ...
 
     def list(self, prefix: str, *, after: str = "", limit: int = 1000) -> list[Head]:
-        """List at most `limit` objects whose names begin with `prefix` and sort behind `after`, in byte order."""
+        """List at most `limit` objects whose names begin with `prefix` and come behind `after`.
+
+        Names in one folder are in byte order. The folder `a` comes behind `a-b` where whole names are compared (AWS,
+        and our own stores), and before it where the names of folders are (SeaweedFS).
+        """
         ...
 
     def delete(self, name: str) -> None:

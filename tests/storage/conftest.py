@@ -18,7 +18,10 @@ from tests.referees.s3.server import S3Server
 
 @pytest.fixture(scope="session")
 def shared_bucket(s3_server: S3Server) -> S3Store:
-    """One bucket for all tests of the contract: to make one takes longer than to empty it."""
+    """One bucket for all tests of the contract: to make one takes longer than to empty it.
+
+    What was a folder stays one on SeaweedFS, where no later test can claim the name for an object (`if_absent`).
+    """
     return s3_store(s3_server)
 
 

@@ -40,9 +40,10 @@ def test_anybody_reads_assets_and_collections_and_nothing_else(s3_server: S3Serv
     assert (answer.status_code, answer.content) == (206, b"23")
     assert "immutable" in answer.headers["cache-control"]
     assert httpx.get(store.url("collections/c/index.json")).content == b"12345"
-    for name in ("captures/c.zip", "catalog/a.json", "assets/a/absent", ""):
-        address = f"{s3_server.endpoint}/{bucket}/{name}"
-        assert httpx.get(address).status_code == 403
+    home = f"{s3_server.endpoint}/{bucket}"
+    for name in ("captures/c.zip", "catalog/a.json", ""):
+        assert httpx.get(f"{home}/{name}").status_code == 403
+    assert httpx.get(f"{home}/assets/a/absent").status_code in (403, 404)  # AWS says 403 to who may not list
     for name in ("assets/a/mine", "collections/c/index.json"):
         assert httpx.put(store.url(name), content=b"x").status_code == 403
 
@@ -167,7 +168,7 @@ def test_a_private_bucket_is_read_by_presigned_urls_alone(
         answer = httpx.get(file, headers={**key, "Origin": "https://vr.example"}, follow_redirects=True)
         assert (answer.status_code, answer.content) == (200, store.get(name))
         assert answer.headers["Cache-Control"] == "private, max-age=60"
-        assert answer.headers["Access-Control-Allow-Origin"] == "*"
+        assert answer.headers["Access-Control-Allow-Origin"] in ("*", "https://vr.example")
         assert answer.url.host == httpx.URL(s3_server.endpoint).host
         head = httpx.head(file, headers=key)
         assert (head.status_code, head.headers["Content-Length"]) == (200, str(len(answer.content)))

