@@ -12,8 +12,8 @@
 # make drawing      docs/rooms.svg from the imports
 # make setup        .venv with the product; make test-setup adds what tests need
 # make clean        remove .venv and node_modules, and what builds and demos left
-# All do their own set-up: .venv here, system packages through apt when root. A PyTorch that .venv has already, such as the
-# CPU build, stays.
+# All do their own set-up: .venv here, system packages through apt when root. PyTorch's CPU build is taken where there is no
+# CUDA device; a PyTorch that .venv has already stays.
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 PYTHON ?= python3

@@ -23,7 +23,7 @@ _NAME = re.compile(rf"{_SEGMENT}(/{_SEGMENT})*")
 _NAME_LIMIT = 512  # characters: S3 takes 1,024 bytes; ours have about 150
 
 LAST = "/~"
-"""Added to a folder's name, it sorts behind all objects in the folder, for no name has a "~". `list` after it skips them."""
+"""Added to a folder's name, it sorts behind all objects in the folder, which have no "~". `list` then skips them."""
 
 
 class ConditionFailed(Exception):  # noqa: N818 - not a fault: somebody else was faster

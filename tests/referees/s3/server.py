@@ -68,7 +68,7 @@ def _identities(access: str, secret: str) -> str:
 
 
 def _free_ports() -> list[int]:
-    """A port for each part, whose gRPC listens _GRPC above it. Those of its own choice are the same for every server."""
+    """A port for each part, whose gRPC listens _GRPC above it. Its own choice is the same for every server."""
     ports: list[int] = []
     with ExitStack() as stack:
         while len(ports) < len(_PARTS):
