@@ -1,5 +1,6 @@
 # make demo         a simulated phone capture through everything, ending with the viewer's URL; CAPTURE=path takes your own
-# make test         everything that can be checked on this machine; FAST=1 leaves out browser, S3, Docker and what is slow
+# make test         lint, the fast tests, and of browser, S3 and processes what is essential; says what it leaves to make test-all
+# make test-all     all tests, in parts; a run that was killed goes on with the part it was in. PART=3/12: one part alone
 # make test-compose the whole stack in a Docker engine of its own; as root, minutes. CAPTURE2VR_COMPOSE=folder keeps its images
 # make lint         ruff, mypy and the import contracts alone; eslint and the TypeScript compiler for the pages' JavaScript
 # make bench        all tables of tests/bench/README.md that need no data of others; hours. NAME alone: .venv/bin/python -m tests.bench NAME
@@ -21,11 +22,14 @@ CAPTURE ?=
 DEMO_FLAGS ?=
 # One more than cores: tests wait for browsers and servers. On two cores the suite takes 31 minutes with three, 38 with two.
 TEST_PROCESSES ?= 3
-FAST ?=
+PART ?=
+WITHIN ?=
 KEY ?=
 export OMP_NUM_THREADS ?= 2
+# Without compiled files every process of a test compiles the product anew, and pytest rewrites all tests.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-compose lint setup test-setup bench audit sbom dist release proto docs drawing clean
+.PHONY: help demo test test-all test-compose lint setup test-setup bench audit sbom dist release proto docs drawing clean
 .DEFAULT_GOAL := help
 
 help:
@@ -61,7 +65,11 @@ lint: .venv/.test-ready node_modules/.ready
 	node_modules/.bin/eslint --cache --cache-location node_modules/.cache/eslint/ --max-warnings 0 .
 
 test: lint
-	.venv/bin/pytest -n $(TEST_PROCESSES) $(if $(FAST),-m "not (browser or s3 or docker or slow or compose)")
+	.venv/bin/pytest -n $(TEST_PROCESSES) -m "essential or not (browser or s3 or docker or slow or compose)"
+
+# WITHIN=seconds: no part begins later, and the commit says which is the first, so that every part has its turn.
+test-all: .venv/.test-ready node_modules/.ready
+	.venv/bin/python -m tests.parts -n $(TEST_PROCESSES) $(PART) $(if $(WITHIN),--within $(WITHIN))
 
 test-compose: .venv/.test-ready
 	.venv/bin/pytest -m compose -s tests/deploy/test_compose_stack.py

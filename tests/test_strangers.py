@@ -119,6 +119,7 @@ CHILDREN = {
 }
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 @pytest.mark.parametrize("child", CHILDREN)
 def test_no_child_imports_from_the_current_folder(child: str, strangers: Path, tmp_path: Path) -> None:
@@ -137,6 +138,7 @@ def test_node_does_not_either(strangers: Path, request: pytest.FixtureRequest) -
     assert that_ran(strangers) == []
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 def test_the_command_line_does_not_either(strangers: Path, tmp_path: Path) -> None:
     captures.save_las(tmp_path / "scan.laz", XYZ, RGB)

@@ -77,6 +77,7 @@ def test_a_gateway_that_is_killed_again_and_again(tmp_path: Path, capture: Path)
         assert list((tmp_path / "state" / "capture2vr" / "uploads").iterdir()) == []
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 def test_a_push_that_is_killed_goes_on_when_it_is_started_again(tmp_path: Path, capture: Path) -> None:
     with running(tmp_path) as gateway:

@@ -62,6 +62,7 @@ def disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_ply(tmp_path_factory.mktemp("disk") / "leaf.ply", np.c_[x, 3 * x**2, z])
 
 
+@pytest.mark.essential
 def test_what_was_pushed_can_be_pulled_by_its_key(url: str, disk: Path, tmp_path: Path) -> None:
     asked = ("--key", "leaf", "--preset", "draft", "--collection", "tree")
     pushed = capture2vr("push", disk, "--gateway", url, *asked)
@@ -213,6 +214,7 @@ def test_a_terminal_that_is_closed_ends_the_services_too(tmp_path: Path, wrapper
         httpx.get(f"http://127.0.0.1:{port}/livez")
 
 
+@pytest.mark.essential
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's signal at a parent's death is Linux's")
 def test_an_up_that_is_killed_leaves_no_service_behind(tmp_path: Path) -> None:
     port = free_port()

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import kubernetes_validate
 import pytest
 import yaml
 from pydantic import SecretStr
@@ -83,6 +82,8 @@ def test_helm_has_nothing_against_it(example: str) -> None:
 
 
 def test_kubernetes_takes_every_manifest(manifests: list[dict[str, Any]]) -> None:
+    import kubernetes_validate  # here: it loads a library that compiles grammars for seconds
+
     own = [each for each in manifests if "keda.sh" not in each["apiVersion"]]
     assert len(own) >= 6
     for version in KUBERNETES:

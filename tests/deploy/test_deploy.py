@@ -54,6 +54,7 @@ def _variables(settings: type[StrictSettings]) -> set[str]:
     return {prefix + field.upper() for field in settings.model_fields}
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 @pytest.mark.docker
 def test_compose_file_is_valid(compose: list[str]) -> None:

@@ -64,6 +64,7 @@ def test_stages_come_in_order_and_say_what_they_do(steps: list[Progress | Bundle
     assert {"POINT_CLOUD", "FITTING", "EXTRACTING", "PACKING"} <= set(stages)
 
 
+@pytest.mark.essential
 def test_the_bundle_holds_an_open_bowl_standing_upright(steps: list[Progress | Bundle]) -> None:
     (bundle,) = [step for step in steps if isinstance(step, Bundle)]
     assert bundle.state == "preview"

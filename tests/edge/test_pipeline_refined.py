@@ -95,6 +95,7 @@ def said() -> list[Said]:
     return inside
 
 
+@pytest.mark.essential
 def test_a_real_training_goes_through_to_its_verdict(said: list[Said]) -> None:
     assert bundles(said)[0].state == "preview"
     last = [each for each in said if not isinstance(each, Progress)][-1]

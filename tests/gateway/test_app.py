@@ -174,6 +174,7 @@ def test_the_gateway_holds_no_geometry() -> None:
     assert found.stdout.strip() == "[]"
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 def test_a_gateway_starts_and_stops_when_told(tmp_path: Path, unused_tcp_port: int) -> None:
     command = [sys.executable, "-m", "capture2vr.gateway"]

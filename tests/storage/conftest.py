@@ -25,7 +25,7 @@ def shared_bucket(s3_server: S3Server) -> S3Store:
     return s3_store(s3_server)
 
 
-@pytest.fixture(params=["memory", "local", "tenant", pytest.param("s3", marks=pytest.mark.s3)])
+@pytest.fixture(params=["memory", "local", "tenant", pytest.param("s3", marks=[pytest.mark.s3, pytest.mark.essential])])
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
     """An empty store of each kind."""
     if request.param == "s3":

@@ -22,7 +22,7 @@ from tests.support.lines import line_to
 from tests.support.sites import gateway_at
 from tests.support.tenants import bearer, make_key, publish_for
 
-pytestmark = pytest.mark.s3
+pytestmark = [pytest.mark.s3, pytest.mark.essential]
 TEXT = "text/plain"
 
 

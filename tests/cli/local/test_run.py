@@ -60,6 +60,7 @@ def out(bowl: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 def test_the_folder_holds_what_is_promised(out: Path) -> None:
     names = {path.name for path in out.iterdir()}

@@ -66,6 +66,7 @@ def told(request: pytest.FixtureRequest) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.essential
 def test_results_come_back_and_large_inputs_arrive(told: dict[str, Any]) -> None:
     assert told["doubles"] == [0, 2, 4, 6, 8]
     assert told["digest is right"]

@@ -320,6 +320,7 @@ def test_weights_that_are_missing_or_of_another_head_are_named(tmp_path: Path) -
     assert caught.value.code == "WEIGHTS_ABSENT"
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures")
 def test_one_photo_in_an_asset_out_that_says_it_is_a_guess(tmp_path: Path, dress: tuple[Bytes, torch.Tensor]) -> None:

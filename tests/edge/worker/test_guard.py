@@ -98,6 +98,7 @@ async def test_a_worker_that_somebody_else_killed_ends_with_its_guard(tmp_path: 
         assert await it.status() == 128 + signal.SIGKILL
 
 
+@pytest.mark.essential
 async def test_sigterm_drains_the_worker(tmp_path: Path) -> None:
     async with guarded(tmp_path) as it:
         await it.port()

@@ -89,6 +89,7 @@ def test_an_encoding_that_cannot_store_all_text_is_refused_and_named(ascii_datab
     assert "Traceback" not in started.stderr
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 async def test_a_server_that_comes_back_finds_every_job_done_once(
     server: PostgresServer, tmp_path: Path, caplog: pytest.LogCaptureFixture

@@ -24,6 +24,7 @@ from tests.support.network.away_store import AwayStore
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.essential
 async def test_a_job_succeeds_and_tells_of_it(tmp_path: Path) -> None:
     store = memory()
     async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:

@@ -75,6 +75,7 @@ async def test_the_formats_are_listed(tmp_path: Path) -> None:
         assert (await client.get("/v1/assets/nobody/downloads")).json()["code"] == "ASSET_UNKNOWN"
 
 
+@pytest.mark.essential
 @pytest.mark.slow
 async def test_a_file_is_made_when_it_is_asked_for_and_served_as_all_files_are(tmp_path: Path) -> None:
     store = LocalStore(tmp_path / "store")

@@ -7,33 +7,32 @@ import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
-import schemathesis
 import uvicorn
 from hypothesis import HealthCheck, given, settings
-from schemathesis.checks import not_a_server_error
-from schemathesis.specs.openapi.checks import (
-    content_type_conformance,
-    response_schema_conformance,
-    status_code_conformance,
-)
 
 from capture2vr.gateway.app import create_app
 from capture2vr.gateway.settings import GatewaySettings
 from tests.support.in_process_gateway import capture, memory
+
+if TYPE_CHECKING:  # loaded by the tests alone: it takes seconds
+    import schemathesis
 
 _NOT_ASKED = {
     "/v1/jobs/{job}/events",  # waits for the job's end
     "/v1/scenes/{scene}/events",  # has no end
     "/readyz",  # says 503 without a worker, as it should
 }
-# The bodies of tus are bytes.
-schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
 
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[object]:
+    import schemathesis
+
+    # The bodies of tus are bytes.
+    schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
     store = memory()
     capture(store)
     folder: Path = tmp_path_factory.mktemp("gateway")
@@ -56,12 +55,20 @@ def test_answers_are_as_documented(api: schemathesis.BaseSchema) -> None:
 
 
 def _check(operation: schemathesis.APIOperation) -> None:
+    from schemathesis.checks import not_a_server_error
+    from schemathesis.specs.openapi import checks
+
     # Schemathesis' own pytest plugin does not know this pytest; its strategies need no plugin.
     @settings(max_examples=20, suppress_health_check=list(HealthCheck))
     @given(case=operation.as_strategy())
     def holds(case: schemathesis.Case) -> None:
         case.call_and_validate(
-            checks=[not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
+            checks=[
+                not_a_server_error,
+                checks.status_code_conformance,
+                checks.content_type_conformance,
+                checks.response_schema_conformance,
+            ]
         )
 
     holds()

@@ -52,6 +52,7 @@ def rows(page: Page, table: str) -> list[list[str]]:
     return cells
 
 
+@pytest.mark.essential
 def test_every_figure_is_the_apis(page: Page, service: tuple[Site, str, str]) -> None:
     site, operator, _ = service
     with httpx.Client(base_url=site.url, headers=bearer(operator)) as client:

@@ -54,6 +54,7 @@ def stored(site: Site, job: dict[str, Any]) -> list[str]:
         return archive.namelist()
 
 
+@pytest.mark.essential
 def test_photos_are_added_and_the_next_version_is_made(page: Page, site: Site, tmp_path: Path) -> None:
     job = made(site, "cup", photos(tmp_path / "first", "1.jpg", "2.jpg"))
     page.goto(f"{site.url}/#add={job['id']}")

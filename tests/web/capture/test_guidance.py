@@ -85,6 +85,7 @@ def test_good_photos_are_counted_and_none_is_blamed(page: Page, stack: Stack, ph
     assert degrees(page) > 200
 
 
+@pytest.mark.essential
 def test_spoilt_photos_are_named_with_their_reasons(
     page: Page, stack: Stack, photos: list[Path], tmp_path: Path
 ) -> None:

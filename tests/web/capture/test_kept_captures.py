@@ -114,6 +114,7 @@ def keep_without_a_server(
         page.close()
 
 
+@pytest.mark.essential
 def test_a_capture_without_a_server_is_kept_and_sent_when_the_page_opens_again(
     context: BrowserContext, line: Line, site: Site, photos: list[Path]
 ) -> None:

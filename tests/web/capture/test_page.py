@@ -44,6 +44,7 @@ def choose(page: Page, path: Path) -> None:
     page.locator("#preset").select_option("quick")  # the automatic choice trains for a minute
 
 
+@pytest.mark.essential
 def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> None:
     page.goto(stack.url)
     expect(page.get_by_role("button", name="Send")).to_be_disabled()
@@ -88,6 +89,7 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
     assert max(entry["size_m"]) == pytest.approx(0.2, abs=0.01)
 
 
+@pytest.mark.essential
 def test_a_reloaded_page_goes_on_watching(page: Page, stack: Stack, bowl: Path) -> None:
     page.goto(stack.url)
     choose(page, bowl)

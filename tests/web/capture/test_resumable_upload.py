@@ -91,6 +91,7 @@ def test_a_network_that_is_gone_and_a_gateway_that_is_killed(
     assert len(created) == 1
 
 
+@pytest.mark.essential
 def test_a_page_that_is_loaded_again(page: Page, gateway: GatewayProcess, scan: Path, tmp_path: Path) -> None:
     created: list[str] = []
     page.on("request", lambda request: created.append(request.url) if request.url.endswith("/v1/uploads") else None)

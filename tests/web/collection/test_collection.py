@@ -75,6 +75,7 @@ def visit(page: Page, site: Site, query: str = "") -> None:
     await_data(page, state="shown")
 
 
+@pytest.mark.essential
 def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) -> None:
     visit(page, shelf)
     assert shown(page) == ["boot", "shoe", "sofa", "zz"], "and no bag"
@@ -399,6 +400,7 @@ def test_what_was_chosen_is_not_done_to_the_things_of_another_who_logs_in(page: 
     assert not any(read_entry(store, "cup").removed for store in (guarded.store, bobs))
 
 
+@pytest.mark.essential
 def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page, tmp_path: Path) -> None:
     with site_at(tmp_path) as site:
         for key in ("a", "b", "c"):

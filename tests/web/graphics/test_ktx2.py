@@ -66,6 +66,7 @@ def shown(page: Page, address: str) -> bytes:
     return stage(page)
 
 
+@pytest.mark.essential
 def test_its_colours_are_those_of_the_jpeg_and_only_it_loads_what_unpacks_it(page: Page, site: Site) -> None:
     asked: list[str] = []
     said: list[str] = []

@@ -21,6 +21,7 @@ def log_in(page: Page, key: str) -> None:
     page.get_by_role("button", name="Log in with the key").click()
 
 
+@pytest.mark.essential
 def test_a_page_leads_to_the_login_and_comes_back(page: Page, guarded: GuardedSite) -> None:
     publish(box("Cup", RED), guarded.store, key="cup")
     page.goto(f"{guarded.url}/view/cup?from=a%26b#there")

@@ -34,6 +34,7 @@ def phone(browser: Browser) -> Iterator[Page]:
         yield context.new_page()
 
 
+@pytest.mark.essential
 def test_a_phone_that_scans_the_code_is_logged_in(operator: Page, phone: Page, guarded: GuardedSite) -> None:
     expect(operator.locator("#unreachable")).to_be_visible()
     operator.get_by_label("A name for it").fill("Ada's phone")

@@ -69,6 +69,7 @@ def test_who_presses_twice_makes_one_link(owner: Page) -> None:
     revoke(owner)
 
 
+@pytest.mark.essential
 def test_a_link_is_opened_without_a_login_until_it_is_revoked(owner: Page, visitor: Page, guarded: GuardedSite) -> None:
     make_link(owner)
     address = text_of(picture_of(owner.get_by_role("img", name="QR code of the link")))

@@ -66,6 +66,7 @@ def kept(page: Page) -> list[str]:
     return sorted(name for name in names if not name.startswith("shell-"))
 
 
+@pytest.mark.essential
 def test_another_user_of_a_browser_sees_nothing_of_the_first(
     context: BrowserContext, line: Line, guarded: GuardedSite
 ) -> None:

@@ -35,6 +35,7 @@ def english_left(page: Page) -> list[str]:
     return [text for text in map(str.strip, [*lines, *names]) if table.get(text, text) != text]
 
 
+@pytest.mark.essential
 def test_the_viewer_speaks_german(german: Page, site: Site) -> None:
     publish(box("Schale", GREEN), site.store, key="german-bowl")
     german.goto(f"{site.url}/view/german-bowl")

@@ -60,6 +60,7 @@ def _visit_once(context: BrowserContext, address: str) -> None:
     page.close()
 
 
+@pytest.mark.essential
 def test_a_second_visit_loads_no_file_and_later_ones_need_no_server(
     context: BrowserContext, line: Line, cup: str
 ) -> None:

@@ -72,6 +72,7 @@ def expect_refused(page: Page, code: str, words: str) -> None:
     assert not page.get_attribute("body", "data-loaded")
 
 
+@pytest.mark.essential
 def test_a_signed_asset_is_shown_and_an_older_catalogue_refused(
     context: BrowserContext,
     signed: Site,

@@ -102,6 +102,7 @@ def await_start(page: Page, line: Line) -> None:
     page.clock.fast_forward(int(page.locator("[data-silence-ms]").get_attribute("data-silence-ms") or ""))
 
 
+@pytest.mark.essential
 @pytest.mark.parametrize(
     ("fault", "paths"),
     [

@@ -31,6 +31,7 @@ def picture(page: Page) -> bytes:
     return stage(page)
 
 
+@pytest.mark.essential
 def test_keys_turn_it_bring_it_closer_and_show_all_of_it(viewer: Page) -> None:
     stage_, said = viewer.locator("#stage"), viewer.locator("#view")
     stage_.press("Home")  # with the ring around what has the focus, as all pictures below

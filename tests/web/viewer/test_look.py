@@ -76,6 +76,7 @@ def test_a_photo_is_shown_in_its_own_colours(page: Page, site: Site, colour: tup
     assert np.abs(middle(page).astype(int) - colour).max() <= 1, "neither lit, nor washed out, nor tinted"
 
 
+@pytest.mark.essential
 @pytest.mark.parametrize("colour", PICTURES)
 def test_captured_colours_of_vertices_are_shown_as_they_are(
     page: Page, site: Site, colour: tuple[int, int, int]

@@ -188,6 +188,7 @@ def test_a_sheet_behind_and_torn_off_is_not_counted_but_a_seam_is_crossed(blank:
 # ---- the panel ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.essential
 def test_a_length_and_an_angle_are_measured_by_mouse(page: Page, site: Site) -> None:
     open_panel(page, site, "measured")
     choose(page, (0.05, 0.1, FRONT), (0.15, 0.1, FRONT))

@@ -52,6 +52,7 @@ def near(*numbers: float) -> object:
     return pytest.approx(numbers, abs=0.012)
 
 
+@pytest.mark.essential
 def test_what_a_hand_holds_goes_where_the_hand_goes(
     context: BrowserContext, iwer: Path, page: Page, viewer: str
 ) -> None:

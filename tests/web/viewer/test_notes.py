@@ -43,6 +43,7 @@ def pin(store: Store, key: str, text: str, at: tuple[float, float, float] = (0, 
     add_note(store, key, text=text, at=at, normal=(0, 0, 1), author="Ada")
 
 
+@pytest.mark.essential
 def test_a_note_is_pinned_shown_changed_and_removed(page: Page, site: Site) -> None:
     publish_cube(site.store, "noted")
     page.goto(f"{site.url}/view/noted")

@@ -139,6 +139,7 @@ def listeners(site: Site) -> float:
     return float(next(line.split()[1] for line in page.splitlines() if line.startswith("capture2vr_event_listeners ")))
 
 
+@pytest.mark.essential
 def test_what_is_saved_as_a_scene_opens_elsewhere_as_it_was(
     browser: Browser, context: BrowserContext, page: Page, site: Site
 ) -> None:

@@ -31,6 +31,7 @@ def _until(page: Page, condition: str) -> None:
     page.wait_for_function(f"() => {{ const data = document.body?.dataset ?? {{}}; return {condition}; }}")
 
 
+@pytest.mark.essential
 def test_tiles_replace_the_whole_and_become_finer_near_by(page: Page, site: Site) -> None:
     finest: list[str] = []
     page.on("request", lambda request: finest.append(request.url) if "/tile-3-" in request.url else None)

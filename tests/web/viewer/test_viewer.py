@@ -44,6 +44,7 @@ def test_each_module_of_the_page_is_asked_for_once(page: Page, site: Site) -> No
     assert len(own) == len(set(own))
 
 
+@pytest.mark.essential
 def test_all_levels_come_and_distance_chooses_among_them(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/view/{KEY}")
     await_data(page, loaded="2 1 0")
@@ -102,6 +103,7 @@ def test_the_person_reads_name_size_and_state(page: Page, site: Site) -> None:
     expect(page.locator("#said")).to_contain_text("triangles")
 
 
+@pytest.mark.essential
 def test_an_unknown_key_is_said_not_shown(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/view/nothing-here")
     await_data(page, state="error")
@@ -139,6 +141,7 @@ def headset(context: BrowserContext, iwer: Path, page: Page) -> Page:
     return page
 
 
+@pytest.mark.essential
 def test_in_vr_it_stands_ahead_at_true_size(headset: Page, site: Site) -> None:
     headset.goto(f"{site.url}/view/{KEY}")
     await_data(headset, loaded="2 1 0")
