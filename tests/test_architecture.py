@@ -88,6 +88,7 @@ def test_the_drawing_of_the_rooms_is_what_the_imports_say() -> None:
     assert subprocess.run(command, capture_output=True, text=True).stderr == ""
 
 
+@pytest.mark.slow
 def test_no_room_imports_itself_by_others() -> None:
     module = runpy.run_path(str(ROOT / "docs" / "draw_rooms.py"))
     tuple(TopologicalSorter(module["rooms_and_arrows"]()).static_order())  # raises CycleError

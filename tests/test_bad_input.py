@@ -154,7 +154,10 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return run
 
 
-@pytest.mark.parametrize("name", BAD)
+# The sky's photos are searched for points that match, which takes seconds.
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "the sky" else name for name in BAD]
+)
 def test_the_command_line_says_it_in_one_sentence(name: str, run: Run, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     source = BAD[name].make(tmp_path / "in")

@@ -323,6 +323,7 @@ def test_cars_as_cap_udf_lays_them_out(tmp_path: Path) -> None:
     assert area(subject.truth) == pytest.approx(area(car), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_cars_as_ndf_lays_them_out(tmp_path: Path) -> None:
     car = surfaces.disk()
     points = surfaces.sampled(car, 200)

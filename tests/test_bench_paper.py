@@ -54,6 +54,7 @@ BLUE, RED = (30, 70, 210), (255, 25, 15)
 # Colours
 
 
+@pytest.mark.slow
 def test_distances_are_those_from_the_surface_and_from_its_border() -> None:
     sheet = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     over, beside = np.array([[0.5, 0.5, 0.003], [1.03, 0.5, 0.04]])[:, None]
@@ -66,6 +67,7 @@ def test_colours_run_from_the_first_to_the_last_and_stay_there() -> None:
     assert [tuple(each) for each in colours.tolist()] == [BLUE, RED, RED]
 
 
+@pytest.mark.slow
 def test_a_mesh_on_the_truth_has_the_first_colour_and_one_beside_it_the_last() -> None:
     truth = surfaces.disk()
     on = heat_maps.coloured(truth, truth)
@@ -77,6 +79,7 @@ def test_a_mesh_on_the_truth_has_the_first_colour_and_one_beside_it_the_last() -
     assert (off.rgb[inner] == RED).all() or (np.linalg.norm(np.ptp(truth.vertices, axis=0)[2]) > 0.05)
 
 
+@pytest.mark.slow
 def test_a_picture_shows_colours_words_and_stays_small(tmp_path: Path) -> None:
     truth = surfaces.disk()
     rows = [[Column("one", "CD 0", heat_maps.coloured(truth, truth)), Column("two", "no mesh", None)]]

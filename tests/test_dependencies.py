@@ -122,12 +122,14 @@ def test_a_service_imports_only_what_is_declared_for_it(service: str, extras: li
     assert {module for module, names in _imported(_reached(service)).items() if not names & declared} == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extra", RUNTIME)
 def test_what_an_extra_declares_its_service_imports(extra: str) -> None:
     imported = set[str]().union(*_imported(_reached(SERVICES[extra])).values())
     assert _own(extra) - imported - LOADED_BY_OTHERS == set()
 
 
+@pytest.mark.slow
 def test_what_is_declared_for_all_is_imported() -> None:
     imported = set[str]().union(*_imported((ROOT / "services").rglob("*.py")).values())
     assert _declared() - imported == set()

@@ -18,6 +18,7 @@ from tests.support.in_process_gateway import Making, capture, ended, gateway, me
 from tests.support.patience import PATIENCE_S
 
 
+@pytest.mark.slow
 async def test_ready_means_that_a_job_would_be_done(tmp_path: Path) -> None:
     store = memory()
     async with gateway(tmp_path / "gw", store) as client:
@@ -43,6 +44,7 @@ async def test_checks_can_be_left_out_of_readiness(tmp_path: Path) -> None:
         assert (await client.get("/readyz?exclude=workrs")).status_code == 422
 
 
+@pytest.mark.slow
 async def test_presets_are_those_of_the_workers(tmp_path: Path) -> None:
     store = memory()
     async with gateway(tmp_path / "gw", store, presets=("fast", "best")) as client:

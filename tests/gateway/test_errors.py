@@ -39,6 +39,7 @@ def problem(answer: httpx.Response) -> tuple[int, str]:
     return answer.status_code, document["code"]
 
 
+@pytest.mark.slow
 async def test_what_the_framework_refuses(client: httpx.AsyncClient) -> None:
     assert problem(await client.get("/nowhere")) == (404, "NOT_FOUND")
     assert problem(await client.get("/web/nowhere.js")) == (404, "NOT_FOUND")

@@ -45,6 +45,7 @@ def test_a_shifted_sheet_lies_its_shift_away() -> None:
     assert quality.f_005 == quality.f_010 == 0
 
 
+@pytest.mark.slow
 def test_half_a_surface_is_precise_and_not_complete() -> None:
     whole = surfaces.disk()
     half = Mesh(whole.vertices, whole.faces[whole.vertices[whole.faces][:, :, 0].mean(1) < 0])
@@ -113,6 +114,7 @@ def test_a_border_is_sampled_evenly_along_its_length() -> None:
     assert (drawn[:, 0] == 0).mean() == pytest.approx(4 / 12, abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_boundary_error_of_concentric_disks_is_the_difference_of_their_radii() -> None:
     disk = surfaces.disk()
     smaller = Mesh(disk.vertices * 0.8, disk.faces)
@@ -121,6 +123,7 @@ def test_the_boundary_error_of_concentric_disks_is_the_difference_of_their_radii
     assert boundary_error(disk, disk) < 2e-4  # the borders' own sampling
 
 
+@pytest.mark.slow
 def test_a_torn_hole_shows_in_the_boundary_error_by_its_length_and_distance() -> None:
     disk = surfaces.disk()
     away = np.linalg.norm(disk.vertices[disk.faces].mean(1), axis=1)

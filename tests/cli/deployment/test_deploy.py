@@ -56,6 +56,7 @@ def init(deployment: Path) -> Init:
     return call
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["shop [final]", "a[/b]"])
 def test_a_folder_is_named_as_it_is(deployment: Path, init: Init, name: str) -> None:
     """What stands in brackets is markup to the library that prints."""
@@ -84,6 +85,7 @@ def contents(deployment: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in deployment.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_secrets_are_random_and_only_the_owner_reads_them(init: Init, deployment: Path) -> None:
     ended = init()
     given = variables(deployment)
@@ -99,6 +101,7 @@ def test_secrets_are_random_and_only_the_owner_reads_them(init: Init, deployment
     assert "docker compose up --build --wait" in ended.stderr
 
 
+@pytest.mark.slow
 def test_the_authoritys_key_is_not_in_the_folder_that_containers_see(init: Init, deployment: Path) -> None:
     init()
     given, keys = variables(deployment), KeyFolder(deployment / "keys")
@@ -119,6 +122,7 @@ def test_keys_belong_to_the_containers_user_and_secrets_to_whose_folder_it_is(in
     assert {(deployment / name).stat().st_uid for name in (".env", "keys", "keys/ca.key")} == {1000}
 
 
+@pytest.mark.slow
 def test_a_second_run_changes_nothing(init: Init, deployment: Path) -> None:
     init()
     before = contents(deployment)
@@ -126,6 +130,7 @@ def test_a_second_run_changes_nothing(init: Init, deployment: Path) -> None:
     assert contents(deployment) == before
 
 
+@pytest.mark.slow
 def test_another_address_is_refused_where_there_is_an_env(init: Init, deployment: Path) -> None:
     init()
     before = contents(deployment)
@@ -133,6 +138,7 @@ def test_another_address_is_refused_where_there_is_an_env(init: Init, deployment
     assert contents(deployment) == before
 
 
+@pytest.mark.slow
 def test_force_makes_new_secrets_keeps_keys_and_says_what_follows(init: Init, deployment: Path) -> None:
     init()
     old, keys = variables(deployment), contents(deployment / "keys")
@@ -175,6 +181,7 @@ def test_a_folder_without_a_compose_file_is_refused(init: Init, deployment: Path
     assert list(deployment.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_certificate_that_ends_soon_is_renewed_by_the_same_authority(
     init: Init, deployment: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,6 +198,7 @@ def test_a_certificate_that_ends_soon_is_renewed_by_the_same_authority(
     assert keys.authority.read_bytes() == authority
 
 
+@pytest.mark.slow
 def test_a_lost_key_of_the_authority_is_a_sentence(init: Init, deployment: Path) -> None:
     init()
     keys = KeyFolder(deployment / "keys")

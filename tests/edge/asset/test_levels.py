@@ -80,6 +80,7 @@ def asset_of(
     return asset, warnings
 
 
+@pytest.mark.slow
 def test_a_level_of_much_fewer_triangles_gets_a_normal_map() -> None:
     """Where the target asks for it; a full mesh of as many triangles has nothing to add."""
     for target, full, expected in (
@@ -93,6 +94,7 @@ def test_a_level_of_much_fewer_triangles_gets_a_normal_map() -> None:
         assert (measure_cost(pack_glb(asset, target)).texture_bytes > 4 * asset.side**2 * 1.4) == expected
 
 
+@pytest.mark.slow
 def test_a_normal_map_that_makes_the_last_level_too_large_is_left_out() -> None:
     plain, _ = asset_of(points(20_000), TARGETS["quest3"])
     limit = len(pack_glb(plain, TARGETS["quest3"])) + 100
@@ -170,6 +172,7 @@ def test_a_texture_that_cannot_be_made_costs_a_warning(monkeypatch: pytest.Monke
     assert "LOD 0 has no texture: xatlas ended with status -11" in warning
 
 
+@pytest.mark.slow
 def test_a_preset_of_large_levels_still_gets_a_file_for_phones(monkeypatch: pytest.MonkeyPatch) -> None:
     """A colour atlas has room for 131,072 faces: an operator's preset may ask for more."""
     monkeypatch.setattr("capture2vr.edge.export.usdz.MOST_FACES", 1_000)

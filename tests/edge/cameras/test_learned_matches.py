@@ -155,6 +155,7 @@ def test_without_the_extra_the_report_names_it(monkeypatch: pytest.MonkeyPatch) 
     assert any("capture2vr[learned-matching]" in hint for hint in caught.value.hints)
 
 
+@pytest.mark.slow
 def test_the_network_is_not_asked_where_sift_places_all(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.is_installed", lambda: True)
     monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.find_matches", lambda *_: pytest.fail("asked"))

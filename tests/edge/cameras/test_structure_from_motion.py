@@ -234,6 +234,7 @@ def _maps(child: psutil.Process) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_a_cancel_ends_the_child_and_leaves_nothing(
     posed: list[Photo], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -252,6 +253,7 @@ def test_a_cancel_ends_the_child_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_child_that_is_killed_is_an_error_with_a_name(posed: list[Photo]) -> None:
     def kill(_: float) -> None:
         for child in children():
@@ -270,6 +272,7 @@ def test_the_childs_last_words_are_in_the_error(posed: list[Photo]) -> None:
     assert caught.value.code == "ALIGN_FAILED"
 
 
+@pytest.mark.slow
 def test_the_progress_rises_to_one(posed: list[Photo]) -> None:
     told: list[float] = []
     align(unposed(posed[:4]), tick=told.append)
@@ -283,6 +286,7 @@ def test_the_child_does_without_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("longest", [1200, 400])
 def test_key_points_lie_where_their_blobs_do_whatever_the_pictures_size(longest: int) -> None:
     x, y = np.meshgrid(np.arange(1200.0), np.arange(900.0))

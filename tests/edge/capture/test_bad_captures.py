@@ -606,6 +606,7 @@ def test_odd_values_in_metadata_are_read_or_named(kind: str, tmp_path: Path) -> 
         path.write_text(whole)
 
 
+@pytest.mark.slow
 def test_odd_values_in_a_gltf_are_read_or_named(tmp_path: Path) -> None:
     data = coloured_glb()
     length = int.from_bytes(data[12:16], "little")

@@ -112,6 +112,7 @@ def test_a_tables_colours_are_told_from_its_intensities(name: str, tmp_path: Pat
     np.testing.assert_array_equal(cloud.rgb, expected)
 
 
+@pytest.mark.slow
 @given(
     names=st.permutations(["x", "y", "z", "r", "g", "b", "Intensity", "GpsTime"]),
     mark=st.sampled_from(["//", "# ", "#", ""]),

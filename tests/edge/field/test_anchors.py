@@ -132,6 +132,7 @@ def test_patches_in_one_plane_agree_and_tilted_ones_do_not() -> None:
     assert max(flat) < 1e-6 < 1e-3 < min(tilted)
 
 
+@pytest.mark.slow
 def test_the_losses_by_parts_are_the_losses() -> None:
     edges, shape = edges_of(anchors_of(plane_points(200))), 0.1 * torch.randn(200, 6)
     whole = torch.stack(agreement_losses(shape, edges, LOOSE))
@@ -182,6 +183,7 @@ def test_strays_and_clean_points_are_not_usable() -> None:
     assert np.count_nonzero(scan.trust(1.0)) == 1
 
 
+@pytest.mark.slow
 def test_a_stray_of_a_real_denoising_is_not_usable() -> None:
     xyz = surfaces.sampled(surfaces.smooth_sheet(), 2_000, noise=0.005)
     xyz[:5, 2] += 0.04  # eight standard deviations

@@ -71,6 +71,7 @@ def test_a_finished_fit_resumes_to_its_end_at_once(straight: Floats, tmp_path: P
     np.testing.assert_array_equal(resumed, straight)
 
 
+@pytest.mark.slow
 def test_how_often_it_is_written_changes_nothing(
     straight: Floats, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

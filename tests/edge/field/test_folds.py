@@ -71,6 +71,7 @@ def test_large_clouds_are_judged_by_some_of_their_regions() -> None:
     np.testing.assert_array_equal(noise_of(points).share, noise.share)
 
 
+@pytest.mark.slow
 def test_it_ticks_to_the_end_and_stops_when_told() -> None:
     points = surfaces.sampled(surfaces.smooth_sheet(), 3_000, noise=0.006)
     seen: list[float] = []

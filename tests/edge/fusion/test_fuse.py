@@ -66,6 +66,7 @@ def test_depth_of_photos_is_the_same_in_any_unit(unit: float) -> None:
     assert np.ptp(there.xyz, axis=0) / unit == pytest.approx(np.ptp(here.xyz, axis=0), rel=0.01)
 
 
+@pytest.mark.slow
 def test_noise_and_jitter_are_averaged_away() -> None:
     frames = film(table_with_sphere(), WALK, sensor=PHONE_LIKE)
     fused = fuse(frames)
@@ -137,6 +138,7 @@ def test_frontal_pictures_give_the_colours() -> None:
     assert np.median(fused.rgb[middle]) > 190
 
 
+@pytest.mark.slow
 def test_what_most_views_see_through_goes() -> None:
     world = table_with_sphere()
     ghost = plane(0.1, 0.1, z=0.2)
@@ -155,6 +157,7 @@ def test_what_one_view_alone_believes_goes_where_another_looks_through() -> None
     assert fuse([haunted, clean]).xyz[:, 2].max() < 0.05
 
 
+@pytest.mark.slow
 def test_confidence_grows_with_agreeing_views() -> None:
     frames = film(table_with_sphere(), WALK, sensor=PHONE_LIKE)
     many, few = fuse(frames), fuse(frames[:2])

@@ -119,6 +119,7 @@ def test_a_web_between_two_layers_is_cut_and_the_layers_stay() -> None:
     assert area(mesh) == pytest.approx(area(sheets), rel=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [surfaces.sphere, surfaces.hemisphere], ids=["sphere", "hemisphere"])
 def test_the_double_cover_of_a_level_above_zero_agrees(make: Callable[[], Mesh]) -> None:
     """Marching cubes at f = r wraps the surface on both sides: twice the area, every vertex r away from our mesh."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,8 +25,18 @@ from tests.support.photos.walkaround import film_walkaround
 from tests.support.scenes import Sensor, film, furnished_room, look_around, orbit, table_with_sphere
 
 PHONE_NOISE = Sensor(noise_m=0.003, flying=0.3)
-THINGS = film(things(), orbit(30, radius=0.8, height=0.6), sensor=PHONE_NOISE)
-ROOM = film(furnished_room(), look_around(36), sensor=PHONE_NOISE)
+
+
+@cache
+def things_filmed() -> tuple[Frame, ...]:
+    return film(things(), orbit(30, radius=0.8, height=0.6), sensor=PHONE_NOISE)
+
+
+@cache
+def room_filmed() -> tuple[Frame, ...]:
+    return film(furnished_room(), look_around(36), sensor=PHONE_NOISE)
+
+
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -49,14 +60,16 @@ def in_opengl_axes(true: Floats) -> Floats:
     return true @ FLIP
 
 
-@pytest.mark.parametrize("frames", [THINGS, ROOM], ids=["things", "room"])
+@pytest.mark.parametrize("filmed", [things_filmed, room_filmed], ids=["things", "room"])
 @pytest.mark.parametrize("spoil", [shuffled, np.linalg.inv, all_the_same, in_opengl_axes])
-def test_wrong_poses_are_found(frames: tuple[Frame, ...], spoil: Callable[[Floats], Floats]) -> None:
+def test_wrong_poses_are_found(filmed: Callable[[], tuple[Frame, ...]], spoil: Callable[[Floats], Floats]) -> None:
+    frames = filmed()
     fault = pose_fault(posed(frames, spoil(poses(frames))))
     assert fault is not None
     assert ("all" in fault and "the same" in fault) == (spoil is all_the_same)
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(st.floats(0, 0.006), st.floats(0, 0.01), st.floats(0, 1.0), st.integers(0, 100))
 def test_true_poses_pass_with_a_phones_noise_and_drift(noise: float, shift: float, turn: float, seed: int) -> None:
@@ -68,26 +81,26 @@ def test_true_poses_pass_with_a_phones_noise_and_drift(noise: float, shift: floa
 def test_a_camera_that_stands_still_passes() -> None:
     still = orbit(1, radius=0.8, height=0.6).repeat(12, axis=0)
     assert pose_fault(film(things(), still, sensor=PHONE_NOISE)) is None
-    assert pose_fault(THINGS[:1]) is None
+    assert pose_fault(things_filmed()[:1]) is None
 
 
 def test_frames_that_share_no_view_tell_nothing() -> None:
-    apart = poses(THINGS)
+    apart = poses(things_filmed())
     apart[:, :3, 3] += 1.5 * np.arange(len(apart))[:, None]
-    assert pose_fault(posed(THINGS, apart)) is None
+    assert pose_fault(posed(things_filmed(), apart)) is None
 
 
 def test_poses_in_millimetres_are_found() -> None:
-    far = poses(THINGS)
+    far = poses(things_filmed())
     far[:, :3, 3] *= 1000
-    fault = pose_fault(posed(THINGS, far))
+    fault = pose_fault(posed(things_filmed(), far))
     assert fault is not None
     assert "times as far apart" in fault
 
 
 @pytest.mark.parametrize("number", [0, 5])
 def test_one_pose_far_away_does_not_make_a_landscape_of_things(number: int) -> None:
-    frames = THINGS[:12]
+    frames = things_filmed()[:12]
     far = poses(frames)
     far[number, 0, 3] += 130.0
     points = to_points(Capture("rgbd", "open3d", frames=posed(frames, far), scale_confidence="metric"), cut="scene")
@@ -97,16 +110,16 @@ def test_one_pose_far_away_does_not_make_a_landscape_of_things(number: int) -> N
 
 
 def test_a_walk_far_away_is_no_wrong_pose() -> None:
-    far = np.concatenate([poses(THINGS)] * 12)
+    far = np.concatenate([poses(things_filmed())] * 12)
     far[-30:, 0, 3] += np.linspace(0, 60, 30)
-    capture = Capture("rgbd", "open3d", frames=posed(THINGS * 12, far), scale_confidence="metric")
+    capture = Capture("rgbd", "open3d", frames=posed(things_filmed() * 12, far), scale_confidence="metric")
     assert _without_strays(capture) is capture
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spoil", [shuffled, all_the_same])
 def test_instead_of_wrong_poses_the_way_is_tracked(spoil: Callable[[Floats], Floats]) -> None:
-    frames = THINGS[:12]
+    frames = things_filmed()[:12]
     up = np.array([0.0, 0.0, 1.0])
     capture = Capture("rgbd", "open3d", frames=posed(frames, spoil(poses(frames))), scale_confidence="metric", up=up)
     found = with_poses(capture)

@@ -149,6 +149,7 @@ def test_a_jump_to_elsewhere_leaves_the_rest_out_with_a_warning() -> None:
     assert "elsewhere 0: 3 of 13" in tracked.warnings[0]
 
 
+@pytest.mark.slow
 def test_one_blank_frame_between_is_left_out() -> None:
     frames = bare(film(things(), ORBIT[:5], sensor=SENSOR))
     blank = replace(frames[2], load_depth_m=lambda: np.zeros((PHONE.height, PHONE.width), np.float32))
@@ -250,6 +251,7 @@ def test_recordings_without_a_trajectory_are_read(name: str, tmp_path: Path) -> 
         assert frame.load_rgb is not None
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_living_room_without_its_trajectory(data_dir: Path) -> None:
     """10 cm of way in five frames."""

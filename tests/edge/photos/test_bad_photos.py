@@ -139,6 +139,7 @@ def test_photos_from_one_spot_show_no_depth(tmp_path: Path) -> None:
     assert "IMG_00.jpg to IMG_09.jpg the camera turned, but it did not move" in caught.value.message
 
 
+@pytest.mark.slow
 def test_the_sky_has_no_texture(tmp_path: Path) -> None:
     with pytest.raises(CaptureError) as caught:
         to_depth(read_capture(bad_photos.write_of_the_sky(tmp_path)))

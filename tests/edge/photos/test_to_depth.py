@@ -295,6 +295,7 @@ def test_the_sweep_ends_soon_after_its_job_is_cancelled(aligned: Alignment) -> N
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool")]
 
 
+@pytest.mark.slow
 def test_depth_for_which_a_gpu_has_no_room_is_computed_on_the_cpu(
     aligned: Alignment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -387,6 +388,7 @@ def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Cap
     np.testing.assert_allclose(places, np.stack([x, -z, y], axis=1), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_poses_in_metres_keep_them(posed: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("capture2vr.edge.photos.to_depth.depth_frames", lambda *_, **__: ())
     metric = to_depth(replace(posed, scale_confidence="metric"))

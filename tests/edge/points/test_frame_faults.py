@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,7 +17,10 @@ from capture2vr.edge.odometry.tracker import track_frames
 from tests.edge.odometry.test_tracker import things
 from tests.support.scenes import film, orbit
 
-FRAMES = film(things(), orbit(20, radius=0.8, height=0.6, turn=0.3))
+
+@cache
+def frames_of_things() -> tuple[Frame, ...]:
+    return film(things(), orbit(20, radius=0.8, height=0.6, turn=0.3))
 
 
 def damaged(name: str) -> Floats:
@@ -29,7 +33,7 @@ def with_damage(*numbers: int, depth: bool) -> tuple[Frame, ...]:
             return replace(frame, load_depth_m=lambda: damaged(frame.name))
         return replace(frame, load_rgb=lambda: damaged(frame.name))
 
-    return tuple(spoil(frame) if number in numbers else frame for number, frame in enumerate(FRAMES))
+    return tuple(spoil(frame) if number in numbers else frame for number, frame in enumerate(frames_of_things()))
 
 
 def capture_of(frames: tuple[Frame, ...]) -> Capture:
@@ -38,7 +42,7 @@ def capture_of(frames: tuple[Frame, ...]) -> Capture:
 
 def test_a_damaged_picture_costs_its_colours_only() -> None:
     points = to_points(capture_of(with_damage(7, depth=False)), cut="scene")
-    assert len(points) == pytest.approx(len(to_points(capture_of(FRAMES), cut="scene")), rel=0.01)
+    assert len(points) == pytest.approx(len(to_points(capture_of(frames_of_things()), cut="scene")), rel=0.01)
     assert [warning for warning in points.warnings if "0007" in warning] == list(points.warnings)
     assert points.warnings[0].startswith("colours skipped: 0007")
     assert "0007" not in {view.name for view in (*points.texture_views, *points.held_out_views)}
@@ -46,7 +50,7 @@ def test_a_damaged_picture_costs_its_colours_only() -> None:
 
 @pytest.mark.parametrize("depth", [False, True])
 def test_a_damaged_frame_among_those_held_out_is_not_compared_with(depth: bool) -> None:
-    held_out = {view.name for view in to_points(capture_of(FRAMES), cut="scene").held_out_views}
+    held_out = {view.name for view in to_points(capture_of(frames_of_things()), cut="scene").held_out_views}
     first = min(map(int, held_out))
     points = to_points(capture_of(with_damage(first, depth=depth)), cut="scene")
     assert {view.name for view in points.held_out_views} == held_out - {f"{first:04}"}
@@ -73,7 +77,7 @@ def test_when_none_can_be_decoded_the_error_says_why() -> None:
 def test_empty_depth_images_are_counted_and_named() -> None:
     none = np.zeros((192, 256), np.float32)
     frames = tuple(replace(frame, load_depth_m=lambda: none) if number in (0, 4) else frame
-                   for number, frame in enumerate(FRAMES))  # fmt: skip
+                   for number, frame in enumerate(frames_of_things()))  # fmt: skip
     (warning,) = to_points(capture_of(frames), cut="scene", hold_out=0).warnings
     assert warning.startswith("2 of 20 depth images are empty and were not used: 0000, 0004.")
 

@@ -198,6 +198,7 @@ def test_some_ways_tell_no_up(eyes: Floats) -> None:
     assert from_walk(eyes, UP) is None
 
 
+@pytest.mark.slow
 def test_lines_that_do_not_stand_tell_nothing() -> None:
     """A room that was rolled by 30 degrees against how the camera was held, and pictures without any lines."""
     walk = WALKS["in a room"]

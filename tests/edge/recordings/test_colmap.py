@@ -120,6 +120,7 @@ def text_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("model"), "text")
 
 
+@pytest.mark.slow
 @given(
     seen=st.lists(st.sampled_from(OBSERVATIONS), min_size=len(NAMES), max_size=len(NAMES)),
     blank=st.lists(st.integers(0, 2), min_size=len(NAMES), max_size=len(NAMES)),

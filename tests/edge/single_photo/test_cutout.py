@@ -86,6 +86,7 @@ def test_the_rectangle_says_which_of_two_things_is_meant(which: int) -> None:
     assert cut.warnings == ()
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(0, 1), min_size=4, max_size=4))
 def test_nothing_outside_of_the_rectangle_belongs_to_the_thing(values: list[float]) -> None:
@@ -141,6 +142,7 @@ def test_the_outline_runs_around_the_mask() -> None:
     assert len(cut.outline()[0]) < 60
 
 
+@pytest.mark.slow
 def test_an_ordinary_scene_gets_a_proposal_that_says_so(scenes: list[tuple[Photo, Bools]]) -> None:
     """Where the table's pattern is all around, nothing stands out; the thing is proposed all the same."""
     cuts = [(each, truth, cut_out(each)) for each, truth in scenes]
@@ -155,6 +157,7 @@ def test_an_ordinary_scene_gets_a_proposal_that_says_so(scenes: list[tuple[Photo
         assert np.allclose(said.values, box_around(truth).values, atol=0.1)
 
 
+@pytest.mark.slow
 def test_the_proposal_is_the_thing(scenes: list[tuple[Photo, Bools]]) -> None:
     overlaps = []
     for each, truth in scenes:
@@ -164,6 +167,7 @@ def test_the_proposal_is_the_thing(scenes: list[tuple[Photo, Bools]]) -> None:
     assert np.mean(overlaps) > 0.85
 
 
+@pytest.mark.slow
 def test_a_loose_rectangle_in_an_ordinary_scene_finds_the_thing(scenes: list[tuple[Photo, Bools]]) -> None:
     for each, truth in scenes:
         cut = cut_out(each, box_around(truth, loose=0.1))
@@ -180,6 +184,7 @@ def sky(clouds: float) -> Bytes:
     return np.clip(blue * (1 - white) + 240 * white + rng.normal(0, 2, (H, W, 3)), 0, 255).astype(np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("box", [None, PhotoBox(0.2, 0.2, 0.8, 0.8)], ids=["whole", "rectangle"])
 @pytest.mark.parametrize(
     "rgb",

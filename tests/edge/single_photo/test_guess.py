@@ -90,6 +90,7 @@ def guessed(dress: tuple[Bytes, torch.Tensor]) -> Guess:
     return guess(photo(dress[0]), tick=no_tick)
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(st.integers(90, 310), st.integers(90, 210), st.integers(30, 70))
 def test_a_disc_before_a_wall_is_cut_out_wherever_it_is(x: int, y: int, radius: int) -> None:
@@ -99,6 +100,7 @@ def test_a_disc_before_a_wall_is_cut_out_wherever_it_is(x: int, y: int, radius: 
     assert (mask & truth).sum() / (mask | truth).sum() > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rgb",
     [
@@ -119,6 +121,7 @@ def test_nothing_to_see_is_an_error_with_advice(rgb: Bytes) -> None:
     assert len(caught.value.hints) >= 1
 
 
+@pytest.mark.slow
 def test_a_thing_that_is_cut_off_on_every_side_is_an_error() -> None:
     rgb = wall(215, 3)
     rgb[:, 90:310] = (160, 40, 30)

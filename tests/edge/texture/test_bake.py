@@ -219,6 +219,7 @@ def test_a_level_that_cannot_be_unwrapped_keeps_its_colours_and_says_why(monkeyp
     assert warnings == ("LOD 0 has no texture: xatlas took more than 90 s. It keeps its vertex colours.",)
 
 
+@pytest.mark.slow
 def test_openings_that_forbid_fewer_triangles_cost_a_level_no_texture(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = surfaces.patch(lambda u, v: [u, v, 0.1 * np.sin(9 * u) * np.cos(8 * v)], 80, 80)
     row, column = np.divmod(np.arange(80 * 80), 80)
@@ -270,6 +271,7 @@ def test_colours_survive_being_packed() -> None:
     assert np.abs(back - picture).mean() < 4
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(st.integers(0, 2**32 - 1), st.integers(100, 3_000))
 def test_a_picture_holds_no_colour_that_no_point_has(seed: int, count: int) -> None:

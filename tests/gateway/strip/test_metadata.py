@@ -425,6 +425,7 @@ def test_big_endian_exif_is_understood() -> None:
     assert kept[ORIENTATION] == 6
 
 
+@pytest.mark.slow
 def test_an_index_without_end_is_refused_at_once() -> None:
     nested = b""
     for _ in range(2000):

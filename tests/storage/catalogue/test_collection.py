@@ -281,6 +281,7 @@ def test_a_forged_an_older_and_a_broken_index_have_names() -> None:
     assert fault_of(lambda: read(b'{"signed":"{}","signatures":[]}', Keys())) == CATALOGUE_TRUNCATED
 
 
+@pytest.mark.slow
 @given(st.text(max_size=60), st.lists(st.dictionaries(st.sampled_from(["key", "ed25519"]), st.text()), max_size=2))
 def test_nothing_but_a_fault_comes_of_any_envelope(text: str, signatures: list[dict[str, str]]) -> None:
     for believed in ((), SIGNED.verification_keys):

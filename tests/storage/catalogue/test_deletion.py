@@ -77,6 +77,7 @@ def test_all_versions_go_and_the_other_asset_stays() -> None:
         delete_asset(store, "gown", SIGNED)
 
 
+@pytest.mark.slow
 def test_after_a_crash_at_any_change_deleting_again_completes_it() -> None:
     changes = 0
     for at in range(1, 200):

@@ -98,6 +98,7 @@ def test_any_scene_survives_the_store(items: list[PlacedAsset], name: str) -> No
     assert read_scene(store, scene.id) == scene
 
 
+@pytest.mark.slow
 @given(st.binary(max_size=200) | documents.map(json.dumps).map(str.encode))
 def test_what_is_no_scene_is_a_fault_that_names_the_object(data: bytes) -> None:
     with pytest.raises(CatalogueFault, match=r"scenes/x\.json"):

@@ -43,6 +43,7 @@ def test_a_catalogue_cut_anywhere_is_refused(form: int) -> None:
             reader(form)(data[:size])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [1, 2, 3])
 @given(changes=st.lists(st.tuples(st.integers(0), st.integers(0, 2**32 - 1)), min_size=1, max_size=6))
 @settings(max_examples=300, deadline=2000)
