@@ -25,6 +25,8 @@ from capture2vr.storage.tenant_store import store_of_tenant
 from tests.conftest import missing
 from tests.support.chromium import chromium, launch
 from tests.support.npm_packages import installed
+from tests.support.page_scripts import PageScripts
+from tests.support.page_scripts import running as running_scripts
 from tests.support.photos.small_pictures import draw_small
 from tests.support.repository import ROOT
 from tests.support.sites import Site, site_at
@@ -141,6 +143,13 @@ def browser() -> Iterator[Browser]:
         browser = launch(playwright)
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="package")
+def scripts() -> Iterator[PageScripts]:
+    """Where modules of the pages run that need no page."""
+    with running_scripts() as scripts:
+        yield scripts
 
 
 @pytest.fixture

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-from playwright.sync_api import Page
-
-from tests.support.sites import Site
-
-pytestmark = pytest.mark.browser
+from tests.support.page_scripts import PageScripts
 
 SEASONS = ["spring", "summer", "autumn", "winter"]
 _ASK = """async ([name, each]) => {
@@ -22,14 +17,8 @@ _SEASONS_OF_DAYS = """async (zone) => {
 }"""
 
 
-@pytest.fixture
-def words(page: Page, site: Site) -> Page:
-    page.goto(f"{site.url}/browse/default")
-    return page
-
-
-def ask(page: Page, name: str, *each: list[Any]) -> list[Any]:
-    answers: list[Any] = page.evaluate(_ASK, [name, list(each)])
+def ask(scripts: PageScripts, name: str, *each: list[Any]) -> list[Any]:
+    answers: list[Any] = scripts.evaluate(_ASK, [name, list(each)])
     return answers
 
 
@@ -37,21 +26,21 @@ def thing(label: str, *labels: str, state: str = "refined") -> dict[str, Any]:
     return {"key": label, "label": label, "labels": list(labels), "state": state}
 
 
-def test_each_season_is_three_whole_months_and_the_south_is_half_a_year_away(words: Page) -> None:
-    north = words.evaluate(_SEASONS_OF_DAYS, "Europe/Berlin")
+def test_each_season_is_three_whole_months_and_the_south_is_half_a_year_away(scripts: PageScripts) -> None:
+    north = scripts.evaluate(_SEASONS_OF_DAYS, "Europe/Berlin")
     assert [season for day, season in enumerate(north) if day == 0 or north[day - 1] != season] == [
         *("winter", "spring", "summer", "autumn", "winter"),
     ]
     for season in SEASONS:
         assert 90 <= north.count(season) <= 92
     assert north[31 + 29] == "spring"  # the first of March
-    assert words.evaluate(_SEASONS_OF_DAYS, "Etc/Unknown") == north
+    assert scripts.evaluate(_SEASONS_OF_DAYS, "Etc/Unknown") == north
     opposite = {"spring": "autumn", "summer": "winter", "autumn": "spring", "winter": "summer"}
     for zone in ("Australia/Sydney", "America/Argentina/Buenos_Aires", "Africa/Johannesburg", "Pacific/Auckland"):
-        assert words.evaluate(_SEASONS_OF_DAYS, zone) == [opposite[season] for season in north], zone
+        assert scripts.evaluate(_SEASONS_OF_DAYS, zone) == [opposite[season] for season in north], zone
 
 
-def test_seasons_are_recognised_in_both_languages_whatever_their_case(words: Page) -> None:
+def test_seasons_are_recognised_in_both_languages_whatever_their_case(scripts: PageScripts) -> None:
     named = {
         "spring": ["spring", "Spring 2026", "Frühling", "FRÜHJAHR", "fruehling", "Frühjahrsmode"],
         "summer": ["summer", "Sommer", "Sommerkleid", "high-summer", "sommer/2026"],
@@ -59,13 +48,15 @@ def test_seasons_are_recognised_in_both_languages_whatever_their_case(words: Pag
         "winter": ["Winter", "winterwear", "Wintermantel"],
     }
     for season, labels in named.items():
-        assert ask(words, "seasonsOf", *([{"labels": [label]}] for label in labels)) == [[season]] * len(labels), season
+        assert ask(scripts, "seasonsOf", *([{"labels": [label]}] for label in labels)) == [[season]] * len(labels), (
+            season
+        )
     others = ["Falle", "fallen", "Springer", "offspring", "evening", "", "42", "{}"]
-    assert ask(words, "seasonsOf", *([{"labels": [label]}] for label in others)) == [[]] * len(others)
-    assert ask(words, "seasonsOf", [{"labels": ["Herbst", "spring"]}]) == [["spring", "autumn"]]
+    assert ask(scripts, "seasonsOf", *([{"labels": [label]}] for label in others)) == [[]] * len(others)
+    assert ask(scripts, "seasonsOf", [{"labels": ["Herbst", "spring"]}]) == [["spring", "autumn"]]
 
 
-def test_words_say_from_where_a_garment_hangs(words: Page) -> None:
+def test_words_say_from_where_a_garment_hangs(scripts: PageScripts) -> None:
     hanging = {
         "waist": ["Skirt", "Faltenrock", "Röcke", "Jeans", "Lederhose", "miniskirt"],
         "shoulders": [
@@ -85,11 +76,11 @@ def test_words_say_from_where_a_garment_hangs(words: Page) -> None:
         None: ["Truck", "Barock", "Teapot", "suitcase", "landscape", "harvest"],
     }
     for where, names in hanging.items():
-        assert ask(words, "hangingOf", *([thing(name)] for name in names)) == [where] * len(names)
-    assert ask(words, "hangingOf", [thing("IMG 332", "summer")], [thing("IMG 333", "wardrobe")]) == ["shoulders"] * 2
+        assert ask(scripts, "hangingOf", *([thing(name)] for name in names)) == [where] * len(names)
+    assert ask(scripts, "hangingOf", [thing("IMG 332", "summer")], [thing("IMG 333", "wardrobe")]) == ["shoulders"] * 2
 
 
-def test_a_choice_takes_what_bears_its_label_by_name_and_nothing_that_was_removed(words: Page) -> None:
+def test_a_choice_takes_what_bears_its_label_by_name_and_nothing_that_was_removed(scripts: PageScripts) -> None:
     things = [
         thing("Dress 10", "Sommer", "Evening"),
         thing("dress 9", "summer", "winter"),
@@ -97,7 +88,7 @@ def test_a_choice_takes_what_bears_its_label_by_name_and_nothing_that_was_remove
         thing("Coat", "winter", state="removed"),
         thing("Jeans"),
     ]
-    chosen = ask(words, "chooseGarments", *([things, each] for each in [*SEASONS, "all", "label:EVENING"]))
+    chosen = ask(scripts, "chooseGarments", *([things, each] for each in [*SEASONS, "all", "label:EVENING"]))
     assert [[each["label"] for each in found] for found in chosen] == [
         [],
         ["dress 9", "Dress 10"],
@@ -106,4 +97,4 @@ def test_a_choice_takes_what_bears_its_label_by_name_and_nothing_that_was_remove
         ["dress 9", "Dress 10", "Jeans"],
         ["Dress 10", "Teapot"],
     ]
-    assert ask(words, "otherLabels", [things]) == [["evening"]], "seasons have their own choice; each label once"
+    assert ask(scripts, "otherLabels", [things]) == [["evening"]], "seasons have their own choice; each label once"

@@ -5,12 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
-from playwright.sync_api import Page
 
-from tests.support.sites import Site
-
-pytestmark = pytest.mark.browser
+from tests.support.page_scripts import PageScripts
 
 Scene = dict[str, Any]
 _MERGE = """async (cases) => {
@@ -39,14 +35,13 @@ def by_id(scene: Scene) -> dict[str, Scene]:
     return {each["id"]: each for each in scene["items"]}
 
 
-def test_every_change_is_in_the_merged_scene_or_named(page: Page, site: Site) -> None:
+def test_every_change_is_in_the_merged_scene_or_named(scripts: PageScripts) -> None:
     random = np.random.default_rng(1)
     cases = []
     for _ in range(300):
         base = {"name": "Room", "items": [thing(number) for number in range(int(random.integers(0, 6)))]}
         cases.append([base, change(random, base, 100), change(random, base, 200)])
-    page.goto(f"{site.url}/browse/default")
-    for (base, mine, theirs), (merged, same) in zip(cases, page.evaluate(_MERGE, cases), strict=True):
+    for (base, mine, theirs), (merged, same) in zip(cases, scripts.evaluate(_MERGE, cases), strict=True):
         assert same
         before, own, others, result = by_id(base), by_id(mine), by_id(theirs), by_id(merged)
         assert len(result) == len(merged["items"]), "each thing once"
