@@ -110,46 +110,62 @@ def _record(known: dict[str, float], report: Path, files: list[str]) -> None:
     SECONDS.write_text(json.dumps(there, indent=0) + "\n")
 
 
+def _share(text: str) -> tuple[int, int]:
+    """Read `3/12`. Raises ValueError."""
+    number, count = map(int, text.split("/"))
+    if not 1 <= number <= count:
+        raise ValueError
+    return number, count
+
+
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.parts", description=__doc__)
-    parser.add_argument("part", nargs="?", help="K/N: the Kth of N parts alone, whether or not it has passed before")
+    parser.add_argument("part", nargs="?", type=_share, help="3/12: the third of twelve parts, passed before or not")
     parser.add_argument("-n", dest="processes", default="3", help="processes side by side")
-    parser.add_argument(
-        "--within", type=float, help="begin no part after so many seconds; the commit says which is the first"
-    )
+    parser.add_argument("--within", type=float, help="begin no part after so many seconds, nor always with the first")
     parser.add_argument("--record", action="store_true", help=f"note in {SECONDS.name} how long each file took")
     return parser.parse_args()
 
 
-def main() -> int:
-    """Run the parts; 1 where one failed."""
-    options = _arguments()
-    alone, count = map(int, options.part.split("/")) if options.part else (0, PARTS)
+def _runner(options: argparse.Namespace, count: int) -> Callable[[int], bool]:
+    """What runs a part, and says whether it passed."""
     known = json.loads(SECONDS.read_text()) if SECONDS.exists() else {}
-    parts, tree = split(files_of_tests(), known, count), _tree(count)
+    parts = split(files_of_tests(), known, count)
 
     def run(number: int) -> bool:
-        began, report = time.monotonic(), _STATE.with_name(f"part-{number}.xml")
-        passed = _pytest(parts[number - 1], options.processes, report)
-        print(
-            f"part {number} of {count} {'passed' if passed else 'failed'} after {time.monotonic() - began:.0f} s",
-            flush=True,
-        )
-        if options.record:
-            _record(known, report, parts[number - 1])
+        files, began, report = parts[number - 1], time.monotonic(), _STATE.with_name(f"part-{number}.xml")
+        passed = _pytest(files, options.processes, report)
+        verdict = "passed" if passed else "failed"
+        print(f"part {number} of {count} {verdict} after {time.monotonic() - began:.0f} s", flush=True)
+        if options.record and files:
+            _record(known, report, files)
         return passed
 
-    if alone:
-        return int(not run(alone))
-    first = int(tree[:8], 16) if options.within is not None else 0
-    order = [(first + step) % count + 1 for step in range(count)]
-    within = float("inf") if options.within is None else options.within
-    failed, waiting = run_parts(order, run, _STATE, tree, within)
-    print(f"all tests: {count - len(failed) - len(waiting)} of {count} parts passed for this state of the checkout")
+    return run
+
+
+def _run_all(options: argparse.Namespace) -> int:
+    """Run all parts, from the first, or where not all may have time, from one that the commit chooses."""
+    tree = _tree(PARTS)
+    first, within = (0, float("inf")) if options.within is None else (int(tree[:8], 16), options.within)
+    order = [(first + step) % PARTS + 1 for step in range(PARTS)]
+    failed, waiting = run_parts(order, _runner(options, PARTS), _STATE, tree, within)
+    print(
+        f"all tests: {PARTS - len(failed) - len(waiting)} of {PARTS} parts have passed for this state of the checkout"
+    )
     for what, numbers in (("failed", failed), ("not begun", waiting)):
         if numbers:
-            print(f"{what}: {', '.join(f'PART={number}/{count}' for number in numbers)}")
+            print(f"{what}: {', '.join(f'make test-all PART={number}/{PARTS}' for number in numbers)}")
     return int(bool(failed))
+
+
+def main() -> int:
+    """Run one part or all; 1 where one failed."""
+    options = _arguments()
+    if options.part is None:
+        return _run_all(options)
+    number, count = options.part
+    return int(not _runner(options, count)(number))
 
 
 if __name__ == "__main__":

@@ -15,9 +15,8 @@ LIMIT_S = 2.5
 """CPU seconds of a test's own code and of the children that it waited for. Marks are set from 1 s on; on a crowded
 machine, whose caches others use, the same test takes up to twice as much."""
 
-_IMPORTED = (
-    30  # modules: who is the first to load PyTorch or SciPy pays for all tests of the process, and is not judged
-)
+# Modules. The first test that loads PyTorch or SciPy pays for all tests of its process, and is not judged.
+_IMPORTED = 30
 
 
 def _cpu_s() -> float:
