@@ -29,7 +29,7 @@ export OMP_NUM_THREADS ?= 2
 # Without compiled files every process of a test compiles the product anew, and pytest rewrites all tests.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-compose lint setup test-setup bench audit sbom dist release proto docs drawing clean
+.PHONY: help demo test test-all test-compose lint lint-types lint-others setup test-setup bench audit sbom dist release proto docs drawing clean
 .DEFAULT_GOAL := help
 
 help:
@@ -56,9 +56,14 @@ demo: .venv/.ready
 	.venv/bin/capture2vr demo $(if $(CAPTURE),"$(CAPTURE)") $(DEMO_FLAGS)
 
 lint: .venv/.test-ready node_modules/.ready
+	$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint-types lint-others
+
+lint-types:  # takes as long as all others together
+	.venv/bin/mypy
+
+lint-others:
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
-	.venv/bin/mypy
 	.venv/bin/lint-imports
 	node_modules/.bin/tsc -p tsconfig.json
 	node_modules/.bin/tsc -p tsconfig.workers.json
