@@ -32,6 +32,7 @@ LONG_FILES = {
     "gateway/backup/restore.py",
     "gateway/jobs/store.py",
     "gateway/routes/access.py",
+    "gateway/routes/captures.py",
     "gateway/routes/jobs.py",
     "gateway/schemas.py",
     "gateway/workers/worker_client.py",
