@@ -39,13 +39,10 @@ LONG_FILES = {
     "process/archives.py",
 }
 COMPLEX = {
-    "edge/clouds/gltf.py:_check",
     "edge/clouds/obj.py:read",
-    "edge/clouds/pcd.py:_header",
     "edge/jobs/points_archive.py:read_prepared",
     "edge/odometry/check_poses.py:pose_fault",
     "edge/points/isolate.py:isolate_object",
-    "edge/points/lasso.py:require_photos",
     "edge/read_capture.py:_nothing_readable",
     "edge/recordings/depth16.py:read",
     "edge/recordings/nerfstudio.py:read",

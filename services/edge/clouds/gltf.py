@@ -108,11 +108,16 @@ def _check(tree: dict[str, Any], folder: Folder, file: str) -> None:
         unbacked = sum(int(accessor["count"]) for accessor in tree.get("accessors", []) if "bufferView" not in accessor)
         if unbacked > MAX_POINTS:  # zeros that need no bytes in the file
             raise too_many_points(unbacked, file)
-        for buffer in tree.get("buffers", []):
-            uri = buffer.get("uri", "data:")
-            if not uri.startswith("data:") and find_uri(folder, file, uri) is None:
-                hint = say("send_bin_file_together")
-                raise unreadable(file, say("refers_to_missing", name=repr(uri[:120])), hint)
+        _check_buffers(tree, folder, file)
+
+
+def _check_buffers(tree: dict[str, Any], folder: Folder, file: str) -> None:
+    """Refuse a glTF whose buffer files are missing or outside."""
+    for buffer in tree.get("buffers", []):
+        uri = buffer.get("uri", "data:")
+        if not uri.startswith("data:") and find_uri(folder, file, uri) is None:
+            hint = say("send_bin_file_together")
+            raise unreadable(file, say("refers_to_missing", name=repr(uri[:120])), hint)
 
 
 def find_uri(folder: Folder, file: str, uri: str) -> str | None:

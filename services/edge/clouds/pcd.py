@@ -57,8 +57,8 @@ def read_pcd(path: Path, file: str) -> Cloud:
     return cloud.subset(np.asarray(np.isfinite(cloud.xyz).all(axis=1)))
 
 
-def _header(head: bytes, file: str) -> _Header:
-    """Parse the header, up to the line DATA."""
+def _entries(head: bytes, file: str) -> tuple[dict[str, list[str]], int]:
+    """Return the header's lines by their first words, up to the line DATA, and where the data begin."""
     at, entries = 0, dict[str, list[str]]()
     while "DATA" not in entries:
         stop = head.find(b"\n", at)
@@ -68,6 +68,12 @@ def _header(head: bytes, file: str) -> _Header:
         if words and not words[0].startswith("#"):
             entries[words[0].upper()] = words[1:]
         at = stop + 1
+    return entries, at
+
+
+def _header(head: bytes, file: str) -> _Header:
+    """Parse the header, up to the line DATA."""
+    entries, at = _entries(head, file)
     fields = entries.get("FIELDS") or entries.get("COLUMNS") or []
     sizes = entries.get("SIZE", [])
     kinds = tuple("<" + kind.lower() + size for kind, size in zip(entries.get("TYPE", []), sizes, strict=True))

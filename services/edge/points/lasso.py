@@ -33,6 +33,11 @@ _NAMED = 5  # photos that a sentence names
 _STAYS, _GOES_IF_SEEN, _GOES = 0, 1, 2
 
 
+def _first_of(names: Sequence[str]) -> str:
+    """The first few names, in one line."""
+    return ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
+
+
 def require_photos(capture: Capture, lassos: Sequence[PhotoLasso]) -> None:
     """Raise EdgeError EDITS_UNKNOWN_PHOTO for a lasso in a photo that the capture does not have, or whose camera nobody
     can know: that of a single photo."""
@@ -43,7 +48,7 @@ def require_photos(capture: Capture, lassos: Sequence[PhotoLasso]) -> None:
         hint = say("leave_lassos_out_mark_thing")
         raise EdgeError("EDITS_UNKNOWN_PHOTO", say("edits_lassos_capture_single_photo"), hints=(hint,))
     if wrong is not None:
-        some = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
+        some = _first_of(names)
         raise EdgeError(
             "EDITS_UNKNOWN_PHOTO",
             say(
