@@ -96,6 +96,7 @@ def test_points_that_are_no_surface_are_refused_with_a_reason(xyz: Any, rgb: Any
     assert refused.value.hints
 
 
+@pytest.mark.slow
 def test_values_that_do_not_fit_are_refused_before_any_work(folder: Path) -> None:
     sphere = sphere_points(200)
     for wrong, said in (
