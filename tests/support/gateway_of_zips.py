@@ -12,7 +12,7 @@ from anyio.from_thread import start_blocking_portal
 
 from capture2vr.storage.local import LocalStore
 from tests.support.in_process_gateway import gateway, worker
-from tests.support.scripted_work import ZipMaking
+from tests.support.workers.scripted_work import ZipMaking
 
 
 @dataclass(frozen=True, slots=True)
