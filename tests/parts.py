@@ -17,8 +17,8 @@ from pathlib import Path
 from statistics import median
 from xml.etree import ElementTree
 
-from tests.support.groups import group_of
 from tests.support.repository import ROOT
+from tests.support.suite.groups import group_of
 
 PARTS = 12
 SECONDS = ROOT / "tests" / "durations.json"

@@ -119,6 +119,7 @@ def test_every_digit_has_a_shape_of_its_own() -> None:
 # Figures
 
 
+@pytest.mark.slow
 def test_a_figure_draws_what_is_kept_and_names_what_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -141,6 +142,7 @@ def test_a_figure_draws_what_is_kept_and_names_what_is_not(
     assert glb.exists()
 
 
+@pytest.mark.slow
 def test_a_mesh_without_faces_is_told_with_its_steps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

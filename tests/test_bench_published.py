@@ -58,6 +58,7 @@ def test_a_cell_measures_on_its_way_and_goes_on_where_the_hours_ended(stored: Pa
     assert curve(stored) == reached, "a cell that has ended measures nothing again"
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_sentence_and_what_was_measured_stays(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(published, "cells", lambda: iter([CELL]))
     arguments = ["--cell", "0", "--state", str(stored / "state"), "--until"]
@@ -74,6 +75,7 @@ def test_a_full_disk_is_one_sentence_and_what_was_measured_stays(stored: Path, m
     assert [each["step"] for each in before] == [1]
 
 
+@pytest.mark.slow
 def test_a_cell_that_fails_is_named_and_the_others_go_on(
     stored: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

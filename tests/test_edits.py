@@ -100,6 +100,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @given(RECIPES)
 def test_a_recipe_round_trips(edits: Edits) -> None:
     assert Edits.parse(edits.text) == Edits.parse(json.dumps(edits.as_json)) == Edits.of(edits.as_json) == edits

@@ -134,6 +134,8 @@ def circle(graph: Graph) -> list[str]:
     return []
 
 
+@pytest.mark.essential
+@pytest.mark.slow
 def test_no_module_imports_itself_by_others() -> None:
     assert circle({"a": {"b"}, "b": {"a"}}) != [], "the test can fail"
     assert len(python_imports()) > 500

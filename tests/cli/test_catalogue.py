@@ -83,6 +83,7 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     return call
 
 
+@pytest.mark.slow
 def test_what_is_there_is_listed_removed_and_restored(url: str, run: Run) -> None:
     listed = run("ls", "--gateway", url)
     assert listed.code == 0, listed.said
@@ -108,6 +109,7 @@ def test_what_is_there_is_listed_removed_and_restored(url: str, run: Run) -> Non
     assert "sofa" in run("ls", "--gateway", url).said
 
 
+@pytest.mark.slow
 def test_a_collection_of_ones_own(url: str, store: LocalStore, folder: Path, run: Run) -> None:
     publish(bundle(), store, key="hers", collection="ada", keys=Keys((read_signer(folder / "key"),)))
     assert "ada: 1 assets" in run("ls", "--gateway", url, "--collection", "ada").said
@@ -161,6 +163,7 @@ def test_a_collection_is_verified_at_the_gateway_and_on_the_store(url: str, fold
     assert "not checked" in run("catalogue", "verify", "--gateway", url).said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["gateway", "store"])
 def test_the_first_class_of_faults_ends_with_exit_code_1(
     url: str, folder: Path, store: LocalStore, where: str, run: Run

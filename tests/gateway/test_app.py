@@ -169,6 +169,7 @@ def test_settings_name_their_faults(monkeypatch: pytest.MonkeyPatch) -> None:
         GatewaySettings()
 
 
+@pytest.mark.slow
 def test_the_gateway_holds_no_geometry() -> None:
     heavy = "{'torch', 'numpy', 'scipy', 'trimesh', 'cv2', 'av'}"
     probe = f"import sys, capture2vr.gateway.app; print(sorted({heavy} & sys.modules.keys()))"

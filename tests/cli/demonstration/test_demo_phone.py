@@ -110,6 +110,7 @@ def test_the_zip_holds_exactly_the_folder(archive: Path, folder: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_one_seed_gives_one_capture_and_another_gives_another(tmp_path: Path) -> None:
     small = surfaces.hemisphere()
     first, again, other = (

@@ -104,6 +104,7 @@ def test_each_rendering_is_beside_its_own_photo_where_one_shows_nothing() -> Non
     assert [pair.psnr > 40 for pair in pairs] == [True, True]
 
 
+@pytest.mark.slow
 def test_a_photo_keeps_its_camera_in_another_frame() -> None:
     """The middle of a pixel is where it was, at any resolution of the intrinsics."""
     (photo,) = photographs(SHEET, EYES[:1])

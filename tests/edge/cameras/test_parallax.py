@@ -35,6 +35,7 @@ def cloud(seed: int, flat: bool = False) -> Floats:
     return xyz * [1, 0, 1] if flat else xyz
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6), st.floats(300, 2000), st.floats(3, 8))  # smaller turns move too little to tell
 def test_a_camera_that_only_turns_shows_no_parallax(seed: int, focal: float, turn: float) -> None:
     poses = np.tile(np.eye(4), (7, 1, 1))

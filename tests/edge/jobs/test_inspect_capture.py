@@ -106,6 +106,7 @@ def scripted(costly: str) -> Inspector:
     return Inspector(ForkServer("-c", SCRIPTED.format(costly=costly)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("costly", "code", "says"),
     [
@@ -125,6 +126,7 @@ def test_what_costs_too_much_or_crashes_is_told(tmp_path: Path, costly: str, cod
     assert says in told[1]
 
 
+@pytest.mark.slow
 def test_an_inspection_that_nobody_waits_for_is_killed(tmp_path: Path) -> None:
     def leave(_: float) -> None:
         raise Cancelled
@@ -137,6 +139,7 @@ def test_an_inspection_that_nobody_waits_for_is_killed(tmp_path: Path) -> None:
         assert server.children() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["os.abort()", "pass"])
 def test_temporary_files_lie_in_the_inspections_own_folder(tmp_path: Path, end: str) -> None:
     """Even of one that is killed: who inspects removes that folder."""
@@ -148,6 +151,7 @@ def test_temporary_files_lie_in_the_inspections_own_folder(tmp_path: Path, end: 
     assert {path.name.partition("-")[0] for path in scratch.glob("*-*")} == {"own", "childs"}
 
 
+@pytest.mark.slow
 def test_a_fault_of_ours_is_an_error_with_its_traceback(tmp_path: Path) -> None:
     with closing(scripted("raise KeyError('MPO')")) as inspector, pytest.raises(RuntimeError, match="KeyError: 'MPO'"):
         inspector.inspect(packed(tmp_path, a__ply=b"ply"), scratch_in(tmp_path), None, no_tick)

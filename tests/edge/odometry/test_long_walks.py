@@ -75,6 +75,7 @@ def test_packed_levels_come_back_nearly_exact() -> None:
     assert PackedLevel.of(PyramidLevel(PHONE, q, None)).unpacked().grey is None
 
 
+@pytest.mark.slow
 def test_far_key_frames_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     """Along a corridor, ten times as many key frames make about ten times as many comparisons."""
     asked: list[Floats] = []

@@ -23,6 +23,7 @@ def drawn(config: NetworkConfig = CONFIG, points: np.ndarray = POINTS, metres: f
     return pool
 
 
+@pytest.mark.slow
 def test_a_pair_shares_its_offset_and_its_weak_anchor_is_of_the_subset() -> None:
     pool, j = drawn(), torch.arange(20_000)
     between = pool.weak_queries(j) - pool.strong_queries(j)

@@ -87,6 +87,7 @@ def along_the_wall(count: int) -> Floats:
     return np.stack([look_at(eye, eye - [0, 1, 0]) for eye in eyes])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("poses", "why"), [(look_around(12), "outward"), (along_the_wall(8), "along a wall"), (inward(12), "across a room")]
 )
@@ -98,6 +99,7 @@ def test_a_rendered_room_is_not_cut(poses: Floats, why: str) -> None:
     assert np.ptp(points.xyz, axis=0).max() > 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arc", [0.8, 2.0], ids=["a half circle", "all around"])
 def test_a_thing_on_a_table_before_a_wall_is_cut(arc: float) -> None:
     wall = trimesh.creation.box((3.0, 0.02, 2.0))

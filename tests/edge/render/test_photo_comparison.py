@@ -79,6 +79,7 @@ def likeness(subject: Mesh | TexturedMesh, photo: PosedPicture) -> LikenessCheck
 # Surfaces
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.2])
 def test_a_mesh_beside_photos_of_itself_is_faultless(scale: float) -> None:
     ball = printed(surfaces.patch(lambda u, v: surfaces._on_sphere(2 * np.pi * u, np.pi * v), 400, 200))
@@ -94,6 +95,7 @@ def test_a_mesh_beside_photos_of_itself_is_faultless(scale: float) -> None:
     assert figures.sharp == pytest.approx(1, abs=0.15)
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(st.floats(0, 2 * np.pi), st.floats(-0.9, 0.9), st.floats(1.4, 2), st.booleans())
 def test_it_is_faultless_from_everywhere(turn: float, height: float, away: float, depth: bool) -> None:
@@ -115,6 +117,7 @@ def test_a_hole_is_as_large_as_it_is(depth: bool) -> None:
     assert (check.hole == missing).mean() > 0.999
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(st.floats(0.08, 0.3))
 def test_cover_and_lace_add_up_to_the_thing(radius: float) -> None:
@@ -248,6 +251,7 @@ def test_large_photos_are_compared_at_a_bounded_size() -> None:
 # Likeness
 
 
+@pytest.mark.slow
 def test_the_exposure_of_a_photo_does_not_count() -> None:
     plain, other = (
         likeness(FINE_SHEET, photograph(FINE_SHEET, ABOVE, gain=gain)) for gain in ((1.0, 1.0, 1.0), (0.7, 0.9, 1.1))

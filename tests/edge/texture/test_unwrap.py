@@ -124,6 +124,7 @@ def test_noise_does_not_cut_a_surface_to_shreds() -> None:
     assert unwrap(rough, side=SIDE).charts < 1_000  # 4,000 without smoothing
 
 
+@pytest.mark.slow
 def test_ten_thousand_pieces_take_seconds() -> None:
     rng = np.random.default_rng(0)
     corner, a, b = rng.uniform(0, 1, (10_000, 1, 3)), *rng.normal(0, 0.005, (2, 10_000, 1, 3))
@@ -192,6 +193,7 @@ def test_a_process_that_dies_is_a_reason_not_a_crash(monkeypatch: pytest.MonkeyP
         unwrap(KINDS["one triangle"], side=64)
 
 
+@pytest.mark.slow
 def test_a_machine_of_many_processors_has_room_for_its_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """xatlas starts a thread for each processor, which reserves address space."""
     if not shutil.which("gcc"):
@@ -203,6 +205,7 @@ def test_a_machine_of_many_processors_has_room_for_its_threads(tmp_path: Path, m
     assert unwrap(surfaces.patch(lambda u, v: [u, v, 0.1 * np.sin(9 * u)], 100, 100), side=SIDE).charts
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(3, 12))
 def test_any_triangle_soup_lies_flat_or_is_refused(seed: int, faces: int, vertices: int) -> None:

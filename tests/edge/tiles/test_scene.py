@@ -110,6 +110,7 @@ def test_an_ancestor_is_coarser_and_says_by_how_much(made: Made) -> None:
     assert len(made[0].mesh.faces) < 0.8 * made[0].triangles
 
 
+@pytest.mark.slow
 def test_the_whole_of_a_street_keeps_as_many_triangles_as_a_tile() -> None:
     """Its tiles lie in a row, so two are merged at a time, where on a floor it is four."""
     grid = TileGrid(np.zeros(3), CELL_M, np.array([64, 64, 64]))
@@ -179,6 +180,7 @@ def test_a_tile_that_pictures_show_gets_a_texture_of_them(made: Made, tmp_path: 
     assert ((red > 80) & (green < 30) & (blue < 30)).mean() > 0.3
 
 
+@pytest.mark.slow
 def test_tiles_still_meet_where_a_texture_needs_fewer_triangles(
     made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,6 +202,7 @@ def test_a_thing_gets_finer_cells_than_a_room(size: float, cell: float) -> None:
     assert grid.cell == pytest.approx(cell, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_scene_of_millimetres_keeps_its_triangles(tmp_path: Path) -> None:
     """As scanners of small things make it: steps of 0.1 mm are coarser than its cells."""
     hall_m = points()
@@ -258,6 +261,7 @@ def test_a_crowded_tile_is_thinned_in_parts(made: Made, tmp_path: Path, monkeypa
     assert max(counts) <= 1_000
 
 
+@pytest.mark.slow
 def test_an_engine_makes_the_same_meshes(made: Made, tmp_path: Path) -> None:
     """In two processes, to the last bit; what is there already is not made again."""
     scene, said = run(tmp_path / "scene", engine=lambda: open_engine("local", ROOM))
@@ -285,6 +289,7 @@ def test_a_cancelled_scene_stops_inside_a_tile(tmp_path: Path) -> None:
     assert not list((tmp_path / "scene" / "mesh").glob("*.npz"))
 
 
+@pytest.mark.slow
 def test_a_tile_that_always_fails_is_named(tmp_path: Path, made: Made) -> None:
     folder = tmp_path / "scene"
 

@@ -27,7 +27,7 @@ def test_levels_keep_the_budget_and_boxes_their_distance(scripts: PageScripts) -
     budgets = [int(each) for each in random.integers(1, 2_000_000, 200)]
     sizes = [random.uniform(0.05, 3, (int(random.integers(1, 25)), 3)).tolist() for _ in range(100)]
     script = """async ([scenes, budgets, sizes]) => {
-        const { chooseLevels, placeSideBySide } = await import('/web/viewer/layout-and-lod.js');
+        const { chooseLevels, placeSideBySide } = await import('/web/scenes/layout-and-lod.js');
         const free = (things) => chooseLevels(things, Infinity);
         const kept = scenes.map((things, place) => chooseLevels(things, budgets[place]));
         return [kept, scenes.map(free), sizes.map(placeSideBySide)];

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.parts import files_of_tests, run_parts, seconds_in, split
-from tests.support.groups import group_of
+from tests.support.suite.groups import group_of
 
 
 @pytest.mark.parametrize("count", [1, 5, 12])

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.cost_limit import COSTLY
+from tests.support.suite.cost_limit import COSTLY
 
 _LEFT = pytest.StashKey[dict[str, dict[str, int]]]()
 

@@ -44,8 +44,8 @@ def test_idle():
 """
 pytestmark = pytest.mark.slow
 
-PLUGINS = ("-p", "tests.support.cost_limit", "-p", "tests.support.left_out", "-p", "no:cacheprovider")
-LIMIT = "from tests.support import cost_limit\ncost_limit.LIMIT_S = 0.2\n"
+PLUGINS = ("-p", "tests.support.suite.cost_limit", "-p", "tests.support.suite.left_out", "-p", "no:cacheprovider")
+LIMIT = "from tests.support.suite import cost_limit\ncost_limit.LIMIT_S = 0.2\n"
 
 
 def _pytest(folder: Path, *arguments: str) -> list[str]:
