@@ -28,6 +28,7 @@ OTHER_PAGES = {
     "CHANGELOG.md": "changelog.md",
     "clients/unity/README.md": "unity-package.md",
     "clients/godot/README.md": "godot-addon.md",
+    "examples/README.md": "examples.md",
     "tests/bench/README.md": "bench/index.md",
 }
 """Path in the repository -> path on the site, of the pages that do not lie in docs/ or tests/bench/results/."""

@@ -251,7 +251,8 @@ def test_the_certificates_of_the_runbook_are_taken(tmp_path: Path) -> None:
 def test_what_a_newcomer_is_told_to_touch_is_there_and_little() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text().partition("## How to add")[2].partition("\n## ")[0]
     lists = re.split(r"^\*\*(.+?)\*\*", text, flags=re.MULTILINE)[1:]
-    assert lists[::2] == ["A capture format", "A preset", "A target", "A job option", "A route", "A page"]
+    assert lists[:12:2] == ["A capture format", "A preset", "A target", "A job option", "A route", "A page"]
+    assert lists[12::2] == ["A public name of the package", "A sentence of gateway or worker to people"]
     for steps in lists[1::2]:
         assert 1 < len(re.findall(r"^\d\. ", steps, re.MULTILINE)) <= 6
         for path in re.findall(r"`([\w./]+/[\w.-]+)`", steps):
