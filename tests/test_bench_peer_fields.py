@@ -132,6 +132,7 @@ def test_weights_of_several_gpus_fit_a_network_on_one(tmp_path: Path) -> None:
 # Cells
 
 
+@pytest.mark.slow
 def test_field_and_program_of_a_peer_are_measured_and_stay_measured(
     repository: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -151,6 +152,7 @@ def test_field_and_program_of_a_peer_are_measured_and_stay_measured(
     assert len({record["version"] for record in records}) == 1
 
 
+@pytest.mark.slow
 def test_weights_that_do_not_fit_are_one_sentence_in_the_table(
     repository: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

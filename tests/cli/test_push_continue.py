@@ -46,6 +46,7 @@ def await_job(gateway: GatewayProcess, count: int) -> dict[str, Any]:
     return found[0]
 
 
+@pytest.mark.slow
 def test_the_next_job_has_the_key_and_the_photos_of_both(tmp_path: Path) -> None:
     with running(tmp_path / "gateway") as gateway:
         with (photos(tmp_path / "first", "1.jpg", "2.jpg") / "1.jpg").open("rb") as file:
@@ -73,6 +74,7 @@ def test_the_next_job_has_the_key_and_the_photos_of_both(tmp_path: Path) -> None
         assert failures == ["the job ended in state CANCELLED"]
 
 
+@pytest.mark.slow
 def test_an_asset_without_a_job_and_one_that_does_not_exist_are_said(tmp_path: Path) -> None:
     more = photos(tmp_path / "more", "1.jpg")
     with running(tmp_path / "gateway") as gateway:

@@ -45,6 +45,7 @@ def opened(site: Site, link: str, password: str = "") -> int:
     return httpx.post(f"{site.url}/v1/shares/open", json=body).status_code
 
 
+@pytest.mark.slow
 def test_a_link_is_made_listed_and_revoked(site: Site, shares: Shares) -> None:
     made = shares("create", "cup", "--mode", "place", "--label", "for Bob", "--expires-days", "0")
     assert made.returncode == 0, made.stderr
@@ -61,6 +62,7 @@ def test_a_link_is_made_listed_and_revoked(site: Site, shares: Shares) -> None:
     assert "revoked" in shares("list").stdout
 
 
+@pytest.mark.slow
 def test_a_collections_link_has_the_password_of_the_environment(site: Site, shares: Shares) -> None:
     made = shares("create", "default", "--collection", CAPTURE2VR_SHARE_PASSWORD="open sesame")
     assert "with a password" in made.stderr
@@ -68,6 +70,7 @@ def test_a_collections_link_has_the_password_of_the_environment(site: Site, shar
     assert (opened(site, link), opened(site, link, "open sesame")) == (401, 200)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

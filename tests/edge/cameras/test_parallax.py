@@ -47,6 +47,7 @@ def test_a_camera_that_only_turns_shows_no_parallax(seed: int, focal: float, tur
     assert "0.jpg to 6.jpg" in caught.value.message
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6), st.floats(300, 2000), st.floats(3, 15), st.booleans())
 def test_a_camera_that_walks_does_past_a_thing_or_a_wall(seed: int, focal: float, step: float, flat: bool) -> None:
     turns = np.radians(step * (np.arange(7) - 3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -22,6 +23,7 @@ def test_a_screen_is_flat_however_it_hangs_and_with_a_few_points_before_it(
     assert "photograph the thing itself" in warning
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.floats(0.25, 1.0))
 def test_a_dish_and_a_box_are_not(seed: int, depth: float) -> None:
     rng = np.random.default_rng(seed)

@@ -303,6 +303,7 @@ def test_a_tile_that_always_fails_is_named(tmp_path: Path, made: Made) -> None:
     assert error.value.hints
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_from_finished_tiles(tmp_path: Path, made: Made) -> None:
     folder = tmp_path / "scene"
     program = f"from pathlib import Path; from tests.edge.tiles.test_scene import run; run(Path({str(folder)!r}))"
