@@ -19,11 +19,11 @@ from babel.numbers import get_decimal_symbol, get_group_symbol
 from babel.support import Translations
 
 from capture2vr.sentences.documents import translated
-from capture2vr.sentences.sentence import ENGLISH, Find, Sentence, english, translate
+from capture2vr.sentences.sentence import HERE, Find, Sentence, english, translate
 
 LANGUAGES = ("en", "de")
 
-_LOCALE = ENGLISH.with_name("locale")
+_LOCALE = HERE / "locale"
 
 
 @dataclass(slots=True)

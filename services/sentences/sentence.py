@@ -10,10 +10,11 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from pathlib import Path
+from importlib.resources import files
 from typing import Any, TypeAlias
 
-ENGLISH = Path(__file__).with_name("english.json")
+HERE = files("capture2vr.sentences")
+"""The folder of the catalogues; in a wheel that is run as it is, a folder of the zip."""
 
 Value: TypeAlias = "str | int | float | Sentence"
 Find: TypeAlias = Callable[[str, str], str]
@@ -139,7 +140,7 @@ class _Shown:
 @cache
 def english() -> Mapping[str, str]:
     """Return the catalogue of English sentences by code."""
-    catalogue: dict[str, str] = json.loads(ENGLISH.read_text(encoding="utf-8"))
+    catalogue: dict[str, str] = json.loads((HERE / "english.json").read_text(encoding="utf-8"))
     return catalogue
 
 

@@ -13,7 +13,7 @@ import pytest
 from babel.messages.pofile import read_po
 
 from capture2vr.gateway.languages import LANGUAGES, catalogue_of
-from capture2vr.sentences.sentence import ENGLISH, english
+from capture2vr.sentences.sentence import HERE, english
 from tests.support.repository import ROOT
 
 SERVICES = ROOT / "services"
@@ -147,7 +147,7 @@ def test_the_catalogues_are_sorted_by_code_as_git_merges_them_best() -> None:
 
 @pytest.mark.parametrize("language", LANGUAGES[1:])
 def test_a_catalogue_has_every_sentence_with_its_values(language: str) -> None:
-    path = ENGLISH.with_name("locale") / language / "LC_MESSAGES" / "messages.po"
+    path = HERE / "locale" / language / "LC_MESSAGES" / "messages.po"
     with path.open("rb") as file:
         messages = {str(each.context): each for each in read_po(file, locale=language) if each.id}
     assert {code: each.id for code, each in messages.items()} == english()

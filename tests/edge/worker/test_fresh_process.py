@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.edge.capture import test_posed_photos
 from tests.edge.films.test_film import FILMS, VIEWS
-from tests.edge.recordings import test_colmap, test_posed_photos
+from tests.edge.recordings import test_colmap
 from tests.support import captures
 from tests.support.fresh_process import run_fresh
 from tests.support.photos import private_pictures
