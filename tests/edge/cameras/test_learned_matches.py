@@ -36,7 +36,7 @@ from tests.edge.cameras.test_structure_from_motion import (
 from tests.support.photos.walkaround import render_walkaround
 
 needs_network = pytest.mark.usefixtures("network")
-NOT_INSTALLED = "capture2vr.edge.photos.{}.is_installed"
+NOT_INSTALLED = "capture2vr.edge.cameras.{}.is_installed"
 
 
 @pytest.fixture

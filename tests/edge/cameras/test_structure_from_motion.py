@@ -372,7 +372,7 @@ def test_what_was_placed_is_not_lost_with_a_further_try(
     monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.find_matches", lambda *_: found)
     monkeypatch.setattr("capture2vr.edge.cameras.placement_attempts.with_learned", lambda features, _: (features, None))
     for module in ("placement_attempts", "placement_report"):
-        monkeypatch.setattr(f"capture2vr.edge.photos.{module}.is_installed", lambda: network)
+        monkeypatch.setattr(f"capture2vr.edge.cameras.{module}.is_installed", lambda: network)
     blank = photo_of(np.full((SIZE[1], SIZE[0], 3), 200, np.uint8), "blank.jpg")
     alignment = align([*unposed(posed), blank, *[replace(blank, name="other.jpg")] * network])
     assert len(asked) == 3 if network else 2

@@ -24,7 +24,7 @@ GEOREFERENCED = np.array([500_000.0, 5_000_000.0, 100.0])
 def small_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reads files in parts from fewer points on, because one of four million takes seconds to write."""
     for module in ("e57", "las", "ply", "tables", "cloud_parts"):
-        monkeypatch.setattr(f"capture2vr.edge.capture.{module}.LARGE", 20_000)
+        monkeypatch.setattr(f"capture2vr.edge.clouds.{module}.LARGE", 20_000)
 
 
 def square(count: int) -> Floats:

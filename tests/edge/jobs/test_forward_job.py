@@ -42,7 +42,7 @@ from capture2vr.edge.worker.scratch import Scratch
 from capture2vr.edge.worker.server import EdgeServer
 from capture2vr.edge.worker.settings import EdgeSettings
 from capture2vr.order.asset_names import AssetNames
-from capture2vr.order.edits import NO_EDITS
+from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.memory import MemoryStore
@@ -451,11 +451,13 @@ async def test_the_job_goes_up_as_it_was_asked_for(
                 named = {"label": "L", "description": "D", "labels": ["a", "b"]}
                 events = await edge.ended(dome, "job_x", cut="scene", longest_m=2.0, edits=level, **named, **asked)
                 await edge.ended(dome, "job_y", preset="quick")
-    assert standing.seen["job_y"].collection == "default", "what nobody named is named by the worker near the phone"
+    assert standing.seen["job_y"].options.collection == "default", (
+        "what nobody named is named by the worker near the phone"
+    )
     seen = standing.seen["job_x"]
-    assert {name: getattr(seen, name) for name in asked} == asked
-    assert seen.names == AssetNames("L", "D", ("a", "b"))
-    assert (seen.prepared, seen.cut, seen.longest_m, seen.edits) == (True, "auto", None, NO_EDITS)
+    wanted = JobOptions(preset="quick", target="quest3", collection="ada", names=AssetNames("L", "D", ("a", "b")))
+    assert seen.options == wanted, "cut, size and edits are in the points that were sent"
+    assert (seen.asset_key, seen.prepared, seen.fence) == ("k", True, 7)
     assert events[-1].finished.warnings == ["one"]
     begun, ended = STARTS["FITTING"], [event.progress.fraction for event in events if event.HasField("progress")][-1]
     assert ended == pytest.approx(begun + (1 - begun) * 2 / 3), "central's bar is the rest of this one"
