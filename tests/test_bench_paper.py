@@ -227,6 +227,7 @@ def test_the_quick_field_is_trained_and_written(tmp_path: Path) -> None:
     assert len(subject.points) == 1_000
 
 
+@pytest.mark.slow
 def test_the_garment_network_of_a_clone_is_written_and_read_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -250,6 +251,7 @@ def test_mind_gets_its_own_number_of_points_a_face_up_to_a_limit() -> None:
     assert [samples_of(cells) for cells in (16, 64, 128, 256)] == [3_906, 62_500, 100_000, 100_000]
 
 
+@pytest.mark.slow
 def test_a_peer_that_dies_is_one_sentence(tmp_path: Path) -> None:
     failed = peer_extraction._child("dcudf2", str(tmp_path), tmp_path / "no.json", tmp_path / "no.pt", tmp_path / "m")
     assert failed

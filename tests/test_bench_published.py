@@ -112,6 +112,7 @@ def test_no_cell_keeps_the_others_waiting_longer_than_told(stored: Path, monkeyp
     assert all(began + 175 < each < time.time() + 185 for each in ends)
 
 
+@pytest.mark.slow
 def test_the_product_is_measured_once_on_a_scene(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     room = Row("lounge", partial(surfaces.disk), points=300, resolution=24)
     monkeypatch.setattr(published, "OWN", "draft")
