@@ -138,7 +138,7 @@ async def test_a_malformed_request_is_invalid(client: Client, work: Making, fiel
 async def test_a_worker_that_shuts_down_stops_it(work: Making, tmp_path: Path) -> None:
     scratch = Scratch(tmp_path)
     with scratch.claim():
-        downloads = module.Downloads(work, scratch)
+        downloads = module.DownloadMaker(work, scratch)
         making = asyncio.ensure_future(downloads.make(request()))
         await until(lambda: len(work.made) == 1)
         downloads.close()

@@ -117,7 +117,7 @@ async def test_nobody_there() -> None:
 async def test_addresses_that_are_not_of_the_internet_are_refused(url: str) -> None:
     outcome = await attempt(url, allow_private=False)
     assert not outcome.delivered
-    with pytest.raises((send.Refused, OSError)):
+    with pytest.raises((send.UrlRefused, OSError)):
         await Sender(allow_private=False).check(url)
 
 
