@@ -100,8 +100,8 @@ _HEADERS: Mapping[str, Mapping[str, str]] = {
 """Headers without which a request says nothing, by the beginning of the path."""
 _WITHOUT_KEY = {  # what anyone may ask
     "get /", "get /admin", "get /login", "get /pair", "get /view", "get /view/{key}", "get /edit/{key}",
-    "get /scene/{scene}", "get /browse/{name}", "get /wardrobe/{name}", "get /web/shell.json", "get /web/sentences/{name}",
-    "get /v1/schemas/edits",
+    "get /scene/{scene}", "get /browse/{name}", "get /wardrobe/{name}", "get /web/shell.json",
+    "get /web/sentences/{name}", "get /v1/schemas/edits",
     "get /livez", "get /readyz", "get /v1/keys", "get /v1/session", "post /v1/session", "delete /v1/session",
     "post /v1/pairings/claim", "get /s/{token}", "post /v1/shares/open",
 }  # fmt: skip
