@@ -75,7 +75,7 @@ async def test_a_job_carries_names_and_one_again_has_those_of_now(tmp_path: Path
         again = (await client.post(first["links"]["again"], json={"cut": "scene"})).json()
         bad = await client.post("/v1/jobs", json=body | {"labels": ["a" * 51]})
         assert (bad.status_code, bad.json()["code"]) == (422, "REQUEST_INVALID")
-    orders = [stored_order(tmp_path / "gw", each["id"]) for each in (first, again)]
+    orders = [stored_order(tmp_path / "gw", each["id"]).options.names for each in (first, again)]
     assert [(each.label, each.description, each.labels) for each in orders] == [
         ("Dress", "Wool.", ("summer",)),
         ("Gown", "", ("winter",)),
