@@ -10,6 +10,7 @@ from capture2vr.edge.capture.nouns import Capture, Cloud
 from capture2vr.edge.clouds.cloud import capture_of_cloud
 from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
 
 _NAME = "the array"  # in errors, where the name of a file would be
 
@@ -37,6 +38,6 @@ def triples(values: ArrayLike, what: str, count: int | None = None) -> Floats:
     except ValueError:  # rows of different lengths
         array, numeric = np.empty(0), False
     if not numeric or array.ndim != 2 or array.shape[1] != 3 or count not in (None, len(array)):
-        said = f"has {what} of shape {array.shape} and type {array.dtype}; they must be numbers of the shape {wanted}"
-        raise CaptureError("CAPTURE_UNREADABLE", said, file=_NAME, hints=("pass an array of that shape",))
+        reason = f"has {what} of shape {array.shape} and type {array.dtype}; they must be numbers of the shape {wanted}"
+        raise CaptureError("CAPTURE_UNREADABLE", reason, file=_NAME, hints=(say("pass_array_of_shape"),))
     return array
