@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
 
 from capture2vr.errors import BadInput
-from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.edits import NO_EDITS, Edits, InvalidEdits
 from capture2vr.order.job_options import InvalidOption, JobOptions
 from capture2vr.order.option_table import CutName, FillName, VisibilityName
@@ -54,19 +53,9 @@ class JobFields(ReconstructionFields, total=False):
 
 def options_of(fields: JobFields) -> JobOptions:
     """Convert keyword arguments to the options of a job. Raises BadInput for a value that does not fit."""
+    box, edits = box_of(fields.get("box")), _edits_of(fields.get("edits"))
     try:
-        return JobOptions(
-            preset=fields.get("preset", ""),
-            target=fields.get("target", ""),
-            cut=fields.get("cut", ""),
-            fill=fields.get("fill", ""),
-            longest_m=fields.get("longest_m"),
-            box=box_of(fields.get("box")),
-            edits=_edits_of(fields.get("edits")),
-            names=AssetNames(fields.get("label", ""), fields.get("description", ""), tuple(fields.get("labels", ()))),
-            collection=fields.get("collection", ""),
-            visibility=fields.get("visibility", ""),
-        ).checked()
+        return JobOptions.of({**fields, "box": box and box.values, "edits": edits}).checked()
     except InvalidOption as error:
         raise BadInput(str(error)) from None
 
