@@ -33,7 +33,7 @@ class Reconstruction:
                  preview was better: `warnings` say so
     levels       GLB files of the levels of detail, finest first: metres, Y up, on the floor at the origin
     textures     JPEG base colour of each level that has one; () where colours are at the vertices
-    certificate  quality figures of the mesh, such as `held_out_mean` and `stray_area` (docs/quality.md), in parts of
+    certificate  quality figures of the mesh, such as `held_out_mean` and `stray_area` (docs/presets.md), in parts of
                  the capture's longest side; with a `verdict` where a refined mesh was compared with the preview
     warnings     sentences for people: photos left out, points dropped, an unknown scale
     manifest     everything else that is known: size_m, scale_confidence, capture_to_asset (4,4) row by row, seconds
