@@ -340,7 +340,8 @@ def content_of(path: Path) -> bytes:
 
 def test_no_private_key_is_in_the_repository_or_can_get_into_an_image() -> None:
     key = re.compile(rb"-----BEGIN [A-Z ]*PRIVATE KEY-----\s+[A-Za-z0-9+/=]{16}")
-    assert key.search(b"-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2VwBCIEIA==")
+    # Not a constant, which the compiled test beside this one would hold.
+    assert key.search("-----BEGIN {} KEY-----\nMC4CAQAwBQYDK2VwBCIEIA==".format("PRIVATE").encode())
     folders = [ROOT / name for name in ("services", "tests", "deploy", "docs", "clients", "proto", ".ci")]
     files = [*ROOT.glob("*"), *(path for folder in folders for path in folder.rglob("*"))]
     assert [path for path in files if key.search(content_of(path))] == []
