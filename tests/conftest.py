@@ -13,7 +13,12 @@ from tests.referees.s3.server import S3Server, program, running
 from tests.support.photos.small_pictures import draw_small
 from tests.support.repository import ROOT
 
-pytest_plugins = ["tests.support.suite.cost_limit", "tests.support.suite.groups", "tests.support.suite.left_out"]
+pytest_plugins = [
+    "tests.support.suite.certificates",
+    "tests.support.suite.cost_limit",
+    "tests.support.suite.groups",
+    "tests.support.suite.left_out",
+]
 
 _IN_CI = os.environ.get("CI") == "true"
 if "PYTEST_XDIST_WORKER" in os.environ:  # before anything loads torch

@@ -18,6 +18,7 @@ def one_pool(per_day: float, workers: int) -> Fleet:
     return Fleet("centre", per_day, 0, Scaling(workers, workers), EXACT)
 
 
+@pytest.mark.slow
 def test_waiting_is_what_queueing_theory_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """M/D/1 (Pollaczek and Khinchine): with Poisson arrivals, a constant time of service s and a load ρ, the mean wait
     is s ρ / (2 (1 − ρ))."""
@@ -56,12 +57,14 @@ def test_a_pool_grows_with_the_queue_and_shrinks_to_none() -> None:
     assert 3 <= busy.most_workers < 60
 
 
+@pytest.mark.slow
 def test_what_cannot_be_borne_is_not_hidden() -> None:
     outcome = simulate(one_pool(86_400, 1), [TEN_S], from_hour=11, to_hour=12)
     assert len(outcome.first_look_s) < outcome.arrived
     assert at_share(outcome.first_look_s, outcome.arrived, 0.95) == math.inf
 
 
+@pytest.mark.slow
 def test_capacity_is_below_what_the_workers_could_do_without_a_pause() -> None:
     most = capacity([TEN_S], lambda load: one_pool(load, 4), at_most=50_000)
     assert 0.5 < most * 1.9 / (4 * 8_640) < 1.02

@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from capture2vr.edge.export.ply import ply_bytes
 from capture2vr.edge.mesh.nouns import Mesh
@@ -18,6 +19,7 @@ NEW = {"levels": [{"unwrap": [2.0, 1.0], "bake": [4.0, 6.0], "encode": [0.5, 0.2
 OLD = {"levels": [{"unwrap": [2.0, 4.0], "bake": [4.0, 6.0], "encode": [0.5, 0.5]}], "until": [6.0, 10.0]}
 
 
+@pytest.mark.slow
 def test_every_level_of_a_reconstruction_is_measured(tmp_path: Path) -> None:
     sheet = surfaces.patch(lambda u, v: [u, v, 0.1 * np.sin(5 * u)], 140, 140)
     odd = np.floor(sheet.vertices * 20).astype(int).sum(axis=1) % 2 == 1

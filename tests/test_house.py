@@ -200,6 +200,8 @@ def test_files_are_short_and_the_list_of_longer_ones_only_shrinks() -> None:
     } == LONG_FILES
 
 
+@pytest.mark.slow
+@pytest.mark.essential
 def test_functions_are_simple_and_the_list_of_others_only_shrinks() -> None:
     assert {name for name, node in functions() if complexity(node) > MOST_COMPLEXITY} == COMPLEX
 

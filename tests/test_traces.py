@@ -32,6 +32,7 @@ def collector() -> Iterator[TraceCollector]:
         yield server
 
 
+@pytest.mark.slow
 async def test_a_capture_has_one_trace_from_upload_to_publishing(
     tmp_path: Path, collector: TraceCollector, unused_tcp_port: int
 ) -> None:

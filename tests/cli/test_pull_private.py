@@ -77,6 +77,7 @@ def test_by_a_link_until_it_is_revoked(
         pull(share=made["url"])
 
 
+@pytest.mark.slow
 def test_by_a_collections_link_with_a_password(
     pull: Pull, site: Site, secret: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

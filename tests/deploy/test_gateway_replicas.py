@@ -13,6 +13,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import httpx
+import pytest
 
 from capture2vr.cli.up import free_port
 from tests.deploy.test_cdn import CONF, find_nginx, wait_for
@@ -85,6 +86,7 @@ def until(holds: Callable[[], bool]) -> None:
         time.sleep(0.2)
 
 
+@pytest.mark.slow
 def test_requests_go_to_all_gateways_and_to_those_that_are_left() -> None:
     port = free_port()
     with (

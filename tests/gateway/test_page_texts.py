@@ -90,6 +90,7 @@ async def test_a_german_browser_gets_the_german_page_with_the_table_for_its_scri
     assert table["Waiting for a worker"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["/", "/view/any", "/browse/default", "/edit/any", "/login", "/pair"])
 async def test_a_german_page_is_small(client: httpx.AsyncClient, path: str) -> None:
     headers = {"Accept-Language": "de", "Accept-Encoding": "gzip"}

@@ -29,6 +29,7 @@ def start(folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=HANG_S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("opened", ["", "true"])
 def test_the_placeholder_is_refused_in_public_in_one_sentence(tmp_path: Path, opened: str) -> None:
     ended = start(tmp_path, GATEWAY_PUBLISHED_HOST="0.0.0.0", GATEWAY_OPEN=opened)
@@ -39,6 +40,7 @@ def test_the_placeholder_is_refused_in_public_in_one_sentence(tmp_path: Path, op
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "variables",
     [

@@ -278,6 +278,8 @@ async def everything_of(client: httpx.AsyncClient, ids: Ids) -> list[str]:
     return [answer.text for answer in answers] + [job["state"], str(keys), str(pairing), offset]
 
 
+@pytest.mark.slow
+@pytest.mark.essential
 async def test_without_a_key_nothing_is_answered(tmp_path: Path) -> None:
     async with two_tenants(tmp_path, memory()) as site:
         document = (await site.operator.get("/openapi.json")).json()

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 
 from release.distributions import normalised, product_extras, required_distributions
 from release.errors import ReleaseError
@@ -34,6 +32,10 @@ def _sha256(path: Path) -> str:
 
 
 def test_it_is_valid(sbom: str) -> None:
+    # Here, because it takes 3 s to import, which every process that collects tests would spend.
+    from cyclonedx.schema import SchemaVersion
+    from cyclonedx.validation.json import JsonStrictValidator
+
     validator = JsonStrictValidator(SchemaVersion.V1_6)
     assert validator.validate_str(sbom) is None
     assert validator.validate_str(sbom.replace('"type": "library"', '"type": "book"', 1)) is not None

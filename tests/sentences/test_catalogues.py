@@ -6,6 +6,7 @@ import ast
 import re
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from string import Formatter
 
@@ -57,10 +58,18 @@ def texts_in(node: ast.AST) -> Iterator[str]:
             yield from texts_in(each)
 
 
-def trees() -> Iterator[tuple[Path, ast.Module]]:
+@cache
+def parsed() -> tuple[list[tuple[Path, ast.Call]], set[str]]:
+    """Every call in the speakers' modules with its module, and every text."""
+    calls, texts = list[tuple[Path, ast.Call]](), set[str]()
     for speaker in SPEAKERS:
         for path in sorted((SERVICES / speaker).rglob("*.py")):
-            yield path, ast.parse(path.read_text(encoding="utf-8"))
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call):
+                    calls.append((path, node))
+                elif text := written(node):
+                    texts.add(text)
+    return calls, texts
 
 
 def is_of_engineers(path: Path) -> bool:
@@ -74,12 +83,9 @@ def called(node: ast.Call) -> str:
 
 def sentences_to_people() -> Iterator[tuple[str, str]]:
     """Each with its place."""
-    for path, tree in trees():
-        if is_of_engineers(path):
-            continue
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Call):
-                yield from ((f"{path.relative_to(ROOT)}:{node.lineno}", text) for text in sentences_of(node))
+    for path, call in parsed()[0]:
+        if not is_of_engineers(path):
+            yield from ((f"{path.relative_to(ROOT)}:{call.lineno}", text) for text in sentences_of(call))
 
 
 def sentences_of(call: ast.Call) -> Iterator[str]:
@@ -101,11 +107,10 @@ def of_presets() -> Iterator[str]:
 
 def said() -> Iterator[tuple[str, ast.Call, str]]:
     """Each call of `say` with a code: its place, the call, the code."""
-    for path, tree in trees():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and called(node) == "say":
-                for code in texts_in(node.args[0]):
-                    yield f"{path.relative_to(ROOT)}:{node.lineno}", node, code
+    for path, call in parsed()[0]:
+        if called(call) == "say":
+            for code in texts_in(call.args[0]):
+                yield f"{path.relative_to(ROOT)}:{call.lineno}", call, code
 
 
 def values_in(text: str) -> list[tuple[str, str]]:
@@ -113,6 +118,8 @@ def values_in(text: str) -> list[tuple[str, str]]:
     return sorted((name, spec or "") for _, name, spec, _ in Formatter().parse(text) if name is not None)
 
 
+@pytest.mark.slow
+@pytest.mark.essential
 def test_every_sentence_to_people_has_a_code() -> None:
     assert [(place, text) for place, text in sentences_to_people()] == []
     assert [text for text in of_presets() if text not in english()] == []
@@ -137,8 +144,7 @@ def test_every_code_is_in_the_catalogue_and_gets_the_values_of_its_sentence() ->
 
 
 def test_no_sentence_is_left_over() -> None:
-    constants = {text for _, tree in trees() for node in ast.walk(tree) if (text := written(node))}
-    assert set(english()) - constants - set(of_presets()) == set()
+    assert set(english()) - parsed()[1] - set(of_presets()) == set()
 
 
 def test_the_catalogues_are_sorted_by_code_as_git_merges_them_best() -> None:

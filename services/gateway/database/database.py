@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -202,6 +203,7 @@ def lock_schema(db: Connection) -> None:
         db.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
 
 
+@cache
 def _scripts() -> Any:
     # Here, because Alembic takes 0.2 s to import, and the command line imports this module for less.
     from alembic.script import ScriptDirectory

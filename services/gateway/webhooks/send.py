@@ -13,6 +13,7 @@ import socket
 import ssl
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 
 import httpx
 from standardwebhooks import Webhook
@@ -48,8 +49,12 @@ class Sender:
 
     def __init__(self, *, allow_private: bool) -> None:
         self._allow_private = allow_private
-        # Not HTTPX's own certificates: the system's, to which operators add theirs.
-        self._client = httpx.AsyncClient(
+
+    @cached_property
+    def _client(self) -> httpx.AsyncClient:
+        """Made for the first message: to read the certificates takes 40 ms, and most gateways send none."""
+        return httpx.AsyncClient(
+            # Not HTTPX's own certificates: the system's, to which operators add theirs.
             verify=ssl.create_default_context(),
             trust_env=False,
             follow_redirects=False,
@@ -60,7 +65,8 @@ class Sender:
 
     async def close(self) -> None:
         """Close the connections."""
-        await self._client.aclose()
+        if "_client" in self.__dict__:
+            await self._client.aclose()
 
     async def send(self, delivery: Delivery) -> Outcome:
         """Make one attempt."""

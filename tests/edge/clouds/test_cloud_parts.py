@@ -93,6 +93,7 @@ def test_a_large_las_is_read_in_parts(tmp_path: Path, suffix: str) -> None:
     assert (whole.rgb == 255).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_is_large")
 def test_all_scans_of_a_large_e57_are_read_in_parts(tmp_path: Path) -> None:
     halves = np.array_split(square(COUNT), 2)

@@ -87,6 +87,7 @@ def test_a_textured_square_is_read_however_it_is_written(text: str, tmp_path: Pa
     np.testing.assert_array_equal(rgb[inner], np.where(xyz[inner, :1] < 0.5, RED, BLUE))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("written", "file"),
     [
@@ -133,6 +134,7 @@ def test_a_picture_that_is_none_is_named(tmp_path: Path) -> None:
     assert caught.value.code == "CAPTURE_UNREADABLE"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("library", ["a.mtl", r"D:\scans\a.mtl", "renamed.mtl", "./a.mtl", "missing.mtl a.mtl"])
 def test_the_materials_are_found(library: str, tmp_path: Path) -> None:
     paint(tmp_path / "paint.png")

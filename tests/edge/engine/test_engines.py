@@ -60,13 +60,12 @@ def ray_story() -> dict[str, Any]:
     return story("ray")
 
 
-@pytest.fixture(params=["local", "ray"])
+@pytest.fixture(params=[pytest.param("local", marks=pytest.mark.essential), "ray"])
 def told(request: pytest.FixtureRequest) -> dict[str, Any]:
     found: dict[str, Any] = request.getfixturevalue(f"{request.param}_story")
     return found
 
 
-@pytest.mark.essential
 def test_results_come_back_and_large_inputs_arrive(told: dict[str, Any]) -> None:
     assert told["doubles"] == [0, 2, 4, 6, 8]
     assert told["digest is right"]

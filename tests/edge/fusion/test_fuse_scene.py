@@ -60,6 +60,7 @@ def at_once() -> Floats:
     return known().xyz[inliers(known().xyz)]
 
 
+@pytest.mark.slow
 def test_boxes_give_the_points_of_fusing_at_once() -> None:
     boxed, whole = whole_of(by_boxes()), at_once()
     assert len(boxed) == pytest.approx(len(whole), rel=0.01)
@@ -90,6 +91,7 @@ def test_colours_are_those_of_fusing_at_once() -> None:
     assert np.percentile(off[away < 0.1 * VOXEL], 99) < 3
 
 
+@pytest.mark.slow
 def test_a_damaged_frame_in_the_middle_loses_only_itself() -> None:
     def fail() -> Floats:
         raise CaptureError("CAPTURE_UNREADABLE", "is cut off", file="0006")
@@ -102,6 +104,7 @@ def test_a_damaged_frame_in_the_middle_loses_only_itself() -> None:
     assert np.array_equal(whole_of(fused), without)
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_read_costs_only_its_colours() -> None:
     def fail() -> Bytes:
         raise CaptureError("CAPTURE_UNREADABLE", "is cut off", file="0006.jpg")
@@ -118,6 +121,7 @@ def test_a_scene_that_fits_is_fused_at_once() -> None:
     assert np.array_equal(fused.xyz, fuse(frames()[:2], voxel=VOXEL).xyz)
 
 
+@pytest.mark.slow
 def test_a_walk_reaches_the_tiles_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """Through `to_points`, whose limits are lowered to those of a small room."""
     monkeypatch.setattr(capture_to_points, "fuse_scene", partial(fuse_scene, most=MOST, most_of_box=BOX))

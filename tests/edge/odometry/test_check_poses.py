@@ -60,6 +60,7 @@ def in_opengl_axes(true: Floats) -> Floats:
     return true @ FLIP
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filmed", [things_filmed, room_filmed], ids=["things", "room"])
 @pytest.mark.parametrize("spoil", [shuffled, np.linalg.inv, all_the_same, in_opengl_axes])
 def test_wrong_poses_are_found(filmed: Callable[[], tuple[Frame, ...]], spoil: Callable[[Floats], Floats]) -> None:

@@ -108,6 +108,7 @@ def test_poses_that_contradict_the_photos_are_not_used(
     assert placed == pytest.approx(_steps(walk.camera_to_world), rel=0.2)
 
 
+@pytest.mark.slow
 def test_photos_without_a_pose_among_posed_ones_are_named(walk: Walkaround, tmp_path: Path) -> None:
     folder = bad_photos.write_posed(tmp_path / "posed", walk.photos, walk.camera_to_world, walk.intrinsics)
     tree = json.loads((folder / "transforms.json").read_text())

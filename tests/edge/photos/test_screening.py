@@ -92,12 +92,14 @@ def test_the_walk_is_what_it_says(walk: Walkaround, taken: tuple[Photo, ...]) ->
     assert np.median(off_px) < 0.3
 
 
+@pytest.mark.slow
 def test_the_thing_stands_on_the_table(walk: Walkaround) -> None:
     low, high = walk.thing.vertices.min(0), walk.thing.vertices.max(0)
     assert low[2] == pytest.approx(walk.floor_z)
     assert 0.3 < (high - low).max() < 0.5
 
 
+@pytest.mark.slow
 def test_good_photos_are_all_kept(taken: tuple[Photo, ...]) -> None:
     assert set(fates(taken).values()) == {"ok"}
 
@@ -110,6 +112,7 @@ def test_real_photos_are_all_kept(data_dir: Path) -> None:
     assert set(fates(real).values()) == {"ok"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [0, 45, 90])
 def test_smeared_photos_are_left_out(taken: tuple[Photo, ...], degrees: float) -> None:
     mixed = [spoiled(photo, smear(10, degrees)) if at in (2, 7) else photo for at, photo in enumerate(taken)]
@@ -118,10 +121,12 @@ def test_smeared_photos_are_left_out(taken: tuple[Photo, ...], degrees: float) -
     assert sum(verdict == "ok" for verdict in found.values()) == VIEWS - 2
 
 
+@pytest.mark.slow
 def test_a_slight_smear_is_kept(taken: tuple[Photo, ...]) -> None:
     assert set(fates([spoiled(taken[0], smear(3, 20)), *taken[1:]]).values()) == {"ok"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [4, VIEWS])
 def test_no_more_than_three_in_ten_go_for_blur(taken: tuple[Photo, ...], count: int) -> None:
     """Where all are alike, none is worse than the rest."""
@@ -138,11 +143,13 @@ WALLS: dict[str, Spoil] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wall", WALLS)
 def test_a_smooth_wall_is_no_blur(taken: tuple[Photo, ...], wall: str) -> None:
     assert set(fates([*taken, spoiled(taken[0], WALLS[wall], "wall.jpg")]).values()) == {"ok"}
 
 
+@pytest.mark.slow
 def test_dark_photos_are_left_out_and_black_velvet_is_not(taken: tuple[Photo, ...]) -> None:
     def velvet(rgb: np.ndarray) -> np.ndarray:
         lit = np.zeros(rgb.shape[:2], bool)
@@ -154,23 +161,27 @@ def test_dark_photos_are_left_out_and_black_velvet_is_not(taken: tuple[Photo, ..
     assert found[taken[0].name] == "dark"
 
 
+@pytest.mark.slow
 def test_of_forty_copies_one_is_kept(taken: tuple[Photo, ...]) -> None:
     found = fates([replace(taken[0], name=f"{copy}.jpg") for copy in range(40)])
     assert [name for name, verdict in found.items() if verdict == "ok"] == ["0.jpg"]
     assert list(found.values()).count("duplicate") == 39
 
 
+@pytest.mark.slow
 def test_a_messengers_copy_is_told_apart_from_a_step_aside(taken: tuple[Photo, ...]) -> None:
     copies = [spoiled(photo, packed, f"copy of {photo.name}") for photo in taken]
     found = fates([*taken, *copies])
     assert all(verdict == ("duplicate" if name.startswith("copy") else "ok") for name, verdict in found.items())
 
 
+@pytest.mark.slow
 def test_a_pale_thing_has_no_copies(taken: tuple[Photo, ...]) -> None:
     """A twentieth of the contrast is as little difference between views, not the same view."""
     assert set(fates([spoiled(photo, lambda rgb: 215 + 0.05 * rgb) for photo in taken]).values()) == {"ok"}
 
 
+@pytest.mark.slow
 def test_what_cannot_be_decoded_is_told(taken: tuple[Photo, ...]) -> None:
     def broken(longest: int | None = None) -> np.ndarray:
         raise CaptureError("IMAGE_UNREADABLE", "is cut off: the end of the JPEG is missing", file="a.jpg")
@@ -180,6 +191,7 @@ def test_what_cannot_be_decoded_is_told(taken: tuple[Photo, ...]) -> None:
     assert verdicts == (PhotoVerdict(taken[0].name, "unreadable", advice),)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(1, 1), (2, 2), (1, 400), (9, 8)])
 def test_tiny_pictures_are_no_trouble(taken: tuple[Photo, ...], size: tuple[int, int]) -> None:
     assert len(fates([*taken, spoiled(taken[0], lambda rgb: np.full((*size, 3), 90.0), "tiny.png")])) == VIEWS + 1
@@ -189,6 +201,7 @@ def test_nothing_in_nothing_out() -> None:
     assert screen((), tick=no_tick) == ((), ())
 
 
+@pytest.mark.slow
 def test_it_can_be_stopped(taken: tuple[Photo, ...]) -> None:
     def stop(fraction: float) -> None:
         if fraction > 0.3:

@@ -250,6 +250,7 @@ def test_depth_lies_on_the_thing_and_on_the_table(frames: tuple[Frame, ...], wal
     )  # of all sides, of which the walk saw a third and through the open top
 
 
+@pytest.mark.slow
 def test_frames_are_what_a_depth_sensor_would_have_recorded(frames: tuple[Frame, ...]) -> None:
     for frame in frames:
         depth, rgb = frame.load_depth_m(), frame.load_rgb() if frame.load_rgb else None
@@ -263,6 +264,7 @@ def test_frames_are_what_a_depth_sensor_would_have_recorded(frames: tuple[Frame,
         assert (depth > 0).mean() > 0.15
 
 
+@pytest.mark.slow
 def test_a_photo_held_sideways_becomes_an_upright_frame_of_the_same_points(aligned: Alignment) -> None:
     views = aligned.views[:4]
     seen = np.isin(aligned.seen_view, range(4))
@@ -281,6 +283,7 @@ def test_a_photo_held_sideways_becomes_an_upright_frame_of_the_same_points(align
         assert np.array_equal(np.rot90(plain.load_rgb(), -turns), sideways.load_rgb())
 
 
+@pytest.mark.slow
 def test_the_sweep_ends_soon_after_its_job_is_cancelled(aligned: Alignment) -> None:
     began: list[float] = []
 
@@ -323,6 +326,7 @@ def _on_the_cpu(aligned: Alignment) -> tuple[Frame, ...]:
         return depth_frames(aligned, longest=160)
 
 
+@pytest.mark.slow
 def test_views_that_share_nothing_are_an_error_that_says_what_to_do(aligned: Alignment) -> None:
     strangers = replace(aligned, seen_view=aligned.seen_view[:0], seen_point=aligned.seen_point[:0])
     with pytest.raises(CaptureError, match="no two of the 9 placed photos") as caught:
@@ -350,6 +354,7 @@ def test_photos_without_poses_come_out_at_arms_length_in_the_same_shape(walk: Wa
     assert np.ptp(height) == pytest.approx(SIZE_M, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_black_capture_says_so(walk: Walkaround) -> None:
     capture = read_capture(walk.photos[0].parent)
 

@@ -40,6 +40,7 @@ def capture_of(frames: tuple[Frame, ...]) -> Capture:
     return Capture("rgbd", "open3d", frames=frames, scale_confidence="metric")
 
 
+@pytest.mark.slow
 def test_a_damaged_picture_costs_its_colours_only() -> None:
     points = to_points(capture_of(with_damage(7, depth=False)), cut="scene")
     assert len(points) == pytest.approx(len(to_points(capture_of(frames_of_things()), cut="scene")), rel=0.01)
@@ -48,6 +49,7 @@ def test_a_damaged_picture_costs_its_colours_only() -> None:
     assert "0007" not in {view.name for view in (*points.texture_views, *points.held_out_views)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [False, True])
 def test_a_damaged_frame_among_those_held_out_is_not_compared_with(depth: bool) -> None:
     held_out = {view.name for view in to_points(capture_of(frames_of_things()), cut="scene").held_out_views}
@@ -58,6 +60,7 @@ def test_a_damaged_frame_among_those_held_out_is_not_compared_with(depth: bool) 
     assert points.warnings == (f"{what} skipped: {first:04}: cannot be decoded: its image data are damaged",)
 
 
+@pytest.mark.slow
 def test_a_damaged_depth_image_costs_its_frame() -> None:
     points = to_points(capture_of(with_damage(0, depth=True)), cut="scene")
     assert points.warnings == ("frame skipped: 0000: cannot be decoded: its image data are damaged",)
@@ -74,6 +77,7 @@ def test_when_none_can_be_decoded_the_error_says_why() -> None:
         to_points(capture_of(with_damage(*range(20), depth=True)), cut="scene")
 
 
+@pytest.mark.slow
 def test_empty_depth_images_are_counted_and_named() -> None:
     none = np.zeros((192, 256), np.float32)
     frames = tuple(replace(frame, load_depth_m=lambda: none) if number in (0, 4) else frame
@@ -82,6 +86,7 @@ def test_empty_depth_images_are_counted_and_named() -> None:
     assert warning.startswith("2 of 20 depth images are empty and were not used: 0000, 0004.")
 
 
+@pytest.mark.slow
 def test_the_tracker_passes_over_damaged_frames_and_says_so() -> None:
     bare = tuple(replace(frame, camera_to_world=None) for frame in with_damage(3, depth=True))
     tracked = track_frames(bare)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
@@ -49,6 +50,7 @@ def test_the_other_side_of_a_wall_is_another_part() -> None:
     assert not seen.is_near(WALL, np.array([0.0, -7, 0])).any()
 
 
+@pytest.mark.slow
 def test_a_noisy_look_through_a_long_corridor_adds_no_layers_to_a_wall() -> None:
     """The nearer views show the middle of one of two walls. All else is there too, as exact as 6 m allow."""
     walls = [trimesh.creation.box((2.0, 0.02, 2.0)) for _ in range(2)]

@@ -61,6 +61,7 @@ def test_meshes_are_read_and_the_rest_is_named(folder: Path) -> None:
     assert things[1].rgb is None
 
 
+@pytest.mark.slow
 def test_a_folder_without_meshes_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(EdgeError, match="is not a folder"):
         mesh_files(tmp_path / "absent")
@@ -86,6 +87,7 @@ def test_drawn_things_keep_the_frame_and_their_uprightness(things: list[RealThin
     assert (size[1] > 1.5 * torch.maximum(size[0], size[2])).all()
 
 
+@pytest.mark.slow
 def test_every_other_picture_shows_a_real_thing(things: list[RealThing], monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("_SHEETS", 1), ("_EACH", 2), ("_VIEWS", 1), ("_USES", 1), ("BATCH", 2 * len(CLASSES))):
         monkeypatch.setattr(f"tests.bench.single_photo_training.batches.{name}", value)

@@ -70,6 +70,7 @@ def written_out(splats: SplatTensors, view: PinholeView) -> tuple[Floats, Floats
     return colours, covered
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(1, 25))
 @settings(max_examples=8)
 def test_a_picture_is_the_sum_over_its_splats(seed: int, count: int) -> None:

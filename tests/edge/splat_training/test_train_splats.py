@@ -76,6 +76,7 @@ def error(splats: Splats, thing: Splats, angles: Sequence[float] = (-0.35, 0.05,
     return float(np.mean([np.abs(one.astype(float) - other).mean() for one, other in pairs]))
 
 
+@pytest.mark.slow
 def test_colours_come_from_the_photos() -> None:
     start = cover_with_splats(sheet(), COUNT)
     thing = striped(start)
@@ -83,6 +84,7 @@ def test_colours_come_from_the_photos() -> None:
     assert error(trained, thing) < 0.25 * error(start, thing)
 
 
+@pytest.mark.slow
 def test_splats_grow_beyond_the_mesh_where_the_photos_show_more() -> None:
     thing = striped(cover_with_splats(sheet(0.33), COUNT))
     start = cover_with_splats(sheet(), COUNT)
@@ -91,6 +93,7 @@ def test_splats_grow_beyond_the_mesh_where_the_photos_show_more() -> None:
     assert error(trained, thing) < 0.9 * error(striped(start), thing)
 
 
+@pytest.mark.slow
 def test_photos_of_other_exposures_give_the_same_colours() -> None:
     start = cover_with_splats(sheet(), COUNT)
     thing = striped(start)
@@ -103,6 +106,7 @@ def test_photos_of_other_exposures_give_the_same_colours() -> None:
     assert error(trained, thing) < 0.35 * error(start, thing)
 
 
+@pytest.mark.slow
 def test_what_stands_before_the_thing_is_not_painted_on_it() -> None:
     start = cover_with_splats(sheet(), COUNT)
     thing = striped(start)
@@ -119,6 +123,7 @@ def test_what_stands_before_the_thing_is_not_painted_on_it() -> None:
     assert known.rgb[:, 2].max() < 170 < unknown.rgb[:, 2].max()
 
 
+@pytest.mark.slow
 def test_the_same_photos_give_the_same_splats_and_the_work_can_be_stopped() -> None:
     start, ticks = cover_with_splats(sheet(), COUNT), list[float]()
     once, again = (train_splats(start, sheet(), photos(striped(start)), steps=20, tick=ticks.append) for _ in range(2))
@@ -134,6 +139,7 @@ def test_the_same_photos_give_the_same_splats_and_the_work_can_be_stopped() -> N
         train_splats(start, sheet(), photos(start), steps=20, tick=stop)
 
 
+@pytest.mark.slow
 def test_photos_of_something_else_are_told() -> None:
     away = camera(0.0)
     away[0, 3] = 9.0

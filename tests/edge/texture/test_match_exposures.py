@@ -24,6 +24,7 @@ def seen_with(gains: Floats, light: Floats, quality: Floats) -> Floats:
     return light[:, None] / gains * (quality > 0)[..., None]
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000))
 def test_photos_that_differ_by_gains_alone_get_these(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -69,6 +70,7 @@ def test_a_photo_that_shares_nothing_is_matched_to_the_points_and_one_that_sees_
     np.testing.assert_array_equal(match_exposures(np.zeros((5, 2, 3)), np.zeros((5, 2)), np.ones((5, 3))), 1)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000), gain=st.floats(0.6, 1.6), noise=st.floats(0, 0.5))
 def test_a_single_photo_gets_its_median_gain(seed: int, gain: float, noise: float) -> None:
     """It has nobody to agree with, so its weight against the points must not grow without bound."""

@@ -279,6 +279,7 @@ def test_an_engine_makes_the_same_meshes(made: Made, tmp_path: Path) -> None:
         run(tmp_path / "other", engine=refuse)
 
 
+@pytest.mark.slow
 def test_a_cancelled_scene_stops_inside_a_tile(tmp_path: Path) -> None:
     def stop(progress: Progress) -> None:
         if progress.stage == "EXTRACTING":

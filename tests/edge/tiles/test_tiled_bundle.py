@@ -42,6 +42,7 @@ def bundles(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Bundle], Mem
     return made, store
 
 
+@pytest.mark.slow
 def test_a_preview_comes_before_the_tiles(bundles: tuple[list[Bundle], MemoryStore]) -> None:
     preview, refined = bundles[0]
     assert (preview.state, preview.last) == ("preview", False)
@@ -50,6 +51,7 @@ def test_a_preview_comes_before_the_tiles(bundles: tuple[list[Bundle], MemorySto
     assert {"lod0.glb", "lod2.glb", "preview.png", "tileset.json"} <= set(refined.files)
 
 
+@pytest.mark.slow
 def test_the_manifest_counts_tiles(bundles: tuple[list[Bundle], MemoryStore]) -> None:
     refined = bundles[0][1]
     entry = refined.manifest["tileset"]
@@ -59,6 +61,7 @@ def test_the_manifest_counts_tiles(bundles: tuple[list[Bundle], MemoryStore]) ->
     assert entry["triangles"] > refined.manifest["lods"][0]["triangles"] / 2
 
 
+@pytest.mark.slow
 def test_every_content_of_the_tileset_is_stored_beside_it(bundles: tuple[list[Bundle], MemoryStore]) -> None:
     (_, refined), store = bundles
     document = refined.files["tileset.json"]
@@ -70,6 +73,7 @@ def test_every_content_of_the_tileset_is_stored_beside_it(bundles: tuple[list[Bu
     assert {f"assets/hall/{uri}" for uri in contents} <= stored
 
 
+@pytest.mark.slow
 def test_tiles_and_levels_of_detail_are_in_one_frame(bundles: tuple[list[Bundle], MemoryStore]) -> None:
     refined = bundles[0][1]
     x, z, y, *half = json.loads(refined.files["tileset.json"])["root"]["boundingVolume"]["box"]
@@ -78,6 +82,7 @@ def test_tiles_and_levels_of_detail_are_in_one_frame(bundles: tuple[list[Bundle]
     assert np.array([half[0], half[8], half[4]]) == pytest.approx((high - low) / 2, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_tile_that_fails_leaves_the_preview(tmp_path: Path) -> None:
     checkpoint = tmp_path / "1.checkpoint"
     done: list[Bundle] = []

@@ -45,6 +45,7 @@ def halls(request: pytest.FixtureRequest) -> Halls:
     return Halls(left, right, mesh_tile(no_tick, cells, ENTIRE, LEFT, request.param))
 
 
+@pytest.mark.slow
 def test_no_crack_runs_along_the_border(halls: Halls) -> None:
     rim, entire_rim = rim_near_border(halls.both), rim_near_border(halls.entire, NEAR + 3)
     away = cKDTree(entire_rim).query(rim)[0]
@@ -52,6 +53,7 @@ def test_no_crack_runs_along_the_border(halls: Halls) -> None:
     assert away.max() < 1.5, f"the surface ends where the one in one piece does not: {rim[away >= 1.5]}"
 
 
+@pytest.mark.slow
 def test_border_vertices_coincide(halls: Halls) -> None:
     left, right = (mesh.vertices[np.unique(border_edges(mesh.faces))] for mesh in (halls.left, halls.right))
     seam = left[(np.abs(left[:, 0] - BORDER) < NEAR) & (cKDTree(right).query(left)[0] < 0.3)]
@@ -59,17 +61,20 @@ def test_border_vertices_coincide(halls: Halls) -> None:
     assert {tuple(place) for place in seam} <= {tuple(place) for place in right}
 
 
+@pytest.mark.slow
 def test_no_face_is_there_twice_and_no_edge_has_three(halls: Halls) -> None:
     faces = np.sort(halls.both.faces, axis=1)
     assert len(np.unique(faces, axis=0)) == len(faces)
     assert crowded(halls.both.faces) <= crowded(halls.entire.faces)
 
 
+@pytest.mark.slow
 def test_it_is_as_near_to_the_truth_as_in_one_piece(halls: Halls) -> None:
     tiled, entire = chamfer(halls.both), chamfer(halls.entire)
     assert tiled == pytest.approx(entire, rel=0.01)
 
 
+@pytest.mark.slow
 def test_all_faces_of_the_hall_in_one_piece_are_there(halls: Halls) -> None:
     assert len(halls.both.faces) == pytest.approx(len(halls.entire.faces), rel=0.002)
 

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import httpx
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 import capture2vr
@@ -26,6 +27,7 @@ def scraped(text: str) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 async def test_a_worker_tells_of_its_jobs(tmp_path: Path, unused_tcp_port_factory: Callable[[], int]) -> None:
     store = LocalStore(tmp_path / "objects")
     port, metrics_port = unused_tcp_port_factory(), unused_tcp_port_factory()
@@ -69,6 +71,7 @@ async def test_a_worker_tells_of_its_jobs(tmp_path: Path, unused_tcp_port_factor
     assert any("ended" in line for line in mine)
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_is_named(tmp_path: Path, unused_tcp_port: int) -> None:
     begin = partial(
         ServiceProcess,

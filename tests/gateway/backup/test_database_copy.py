@@ -109,6 +109,7 @@ def copied(url: str, target: str, tmp_path: Path) -> tuple[int, int]:
     return done.rows, done.queued
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["of the same kind", "of the other kind"], indirect=True)
 def test_every_row_comes_back(url: str, target: str, tmp_path: Path) -> None:
     with opened(url) as engine:

@@ -163,6 +163,7 @@ def test_a_file_that_is_no_database_any_more_is_replaced_by_the_snapshot(databas
     assert done.rows == 0
 
 
+@pytest.mark.slow
 def test_without_a_snapshot_the_store_tells_what_was_published(database: Path, tmp_path: Path) -> None:
     store = MemoryStore()
     mine, adas = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b", "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3c"

@@ -60,6 +60,7 @@ async def test_a_locked_database_is_a_wait_and_not_an_error(tmp_path: Path, monk
         assert (await ended(client, await start(client, order["capture"])))["state"] == "SUCCEEDED"
 
 
+@pytest.mark.slow
 async def test_a_full_database_is_named(tmp_path: Path, disk: Disk) -> None:
     store = memory()
     order = {"capture": capture(store), "asset_key": "dress", "label": "x" * 200}

@@ -72,6 +72,7 @@ def ascii_database(postgres: str) -> Iterator[str]:
         db.exec_driver_sql("DROP DATABASE plain")
 
 
+@pytest.mark.slow
 def test_an_encoding_that_cannot_store_all_text_is_refused_and_named(ascii_database: str, tmp_path: Path) -> None:
     with pytest.raises(WrongEncoding, match=r"'plain' has the encoding SQL_ASCII.*ENCODING 'UTF8'"):
         open_engine(ascii_database)

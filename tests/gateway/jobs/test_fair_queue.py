@@ -97,6 +97,7 @@ def test_the_oldest_job_that_may_start_is_first_whatever_its_preset(store: JobSt
     assert store.queue_state(LATE).start is None
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(
     sizes=st.dictionaries(st.sampled_from(["ada", "bob", "eve", "default"]), st.integers(1, 8), min_size=2),

@@ -42,6 +42,7 @@ def test_it_is_upright_as_the_reconstruction_has_it(tmp_path: Path, kind: str, o
     assert np.abs(small - upright).mean() < 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FORMATS)
 def test_a_large_one_is_shrunk_and_a_small_one_is_not(tmp_path: Path, kind: str) -> None:
     large = Image.fromarray(RGB).resize((2400, 1800))

@@ -114,6 +114,7 @@ _STEPS = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @example(size=60, steps=[("whole", 1.0, 0, "sha1"), ("too long", 0.0, 1, "sha1")], kind="memory")
 @given(size=st.integers(60, 2_500_000), steps=_STEPS, kind=st.sampled_from(["memory", "local"]))

@@ -163,6 +163,7 @@ class TestKeys:
             assert names == ["ada", "bob", "default", "eve"]
             assert await code_of(await site.ada.get("/v1/tenants")) == (403, "SCOPE_MISSING")
 
+    @pytest.mark.slow
     async def test_allow_no_more_than_their_maker_may(self, tmp_path: Path) -> None:
         soon = time.time() + 3_600
         secret = make_key(tmp_path / "gw", "ada", {Scope.MANAGE, Scope.READ}, expires=soon)

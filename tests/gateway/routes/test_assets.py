@@ -260,6 +260,7 @@ async def test_a_damaged_entry_is_skipped_and_named(damage: bytes, tmp_path: Pat
         assert (alone.status_code, alone.json()["code"]) == (503, "ENTRY_DAMAGED")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"X" + data[1:], lambda data: b""])
 async def test_a_file_that_was_altered_or_cut_is_not_served(damage: Callable[[bytes], bytes], tmp_path: Path) -> None:
     store = LocalStore(tmp_path / "objects")

@@ -97,6 +97,7 @@ async def test_a_half_deleted_capture_can_be_deleted_again(tmp_path: Path) -> No
         assert (await listed(client))["captures"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", [b"{", b"[]", b'{"capture": "cap_other"}', b'{"capture": "ID", "bytes": "x"}'])
 async def test_a_damaged_receipt_is_named_and_the_others_are_listed(tmp_path: Path, content: bytes) -> None:
     store = memory()

@@ -114,6 +114,7 @@ async def test_everything_of_one_tenant_goes_and_the_other_feels_nothing(tmp_pat
         await upload(site.ada)  # and can begin anew
 
 
+@pytest.mark.slow
 async def test_the_export_has_everything_and_nothing_of_others(tmp_path: Path) -> None:
     store = LocalStore(tmp_path / "store")
     async with two_tenants(tmp_path, store) as site:

@@ -66,6 +66,7 @@ async def test_an_addresss_requests_are_counted_before_its_key_is_looked_at(
         assert [answer.status_code for answer in answers] == [401, 401, 401, 429, 429]
 
 
+@pytest.mark.slow
 async def test_uploads_at_once(tmp_path: Path) -> None:
     async with two_tenants(tmp_path, memory()) as site:
         await set_limits(site, "ada", uploads_at_once=1)

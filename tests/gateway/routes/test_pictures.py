@@ -50,6 +50,7 @@ def problem_of(answer: httpx.Response) -> tuple[int, str]:
     return answer.status_code, answer.json()["code"]
 
 
+@pytest.mark.slow
 async def test_photos_are_listed_and_sent_small_and_upright(tmp_path: Path) -> None:
     async with gateway(tmp_path, memory()) as client:
         files = {"b.jpg": photo((200, 30, 30), 6), "a.heic": photo((30, 30, 200), kind="HEIF")}
@@ -80,6 +81,7 @@ async def test_only_what_a_lasso_may_be_in_is_listed(tmp_path: Path, kind: str, 
         assert [each["name"] for each in pictures] == names
 
 
+@pytest.mark.slow
 async def test_what_there_is_not_is_told(tmp_path: Path) -> None:
     store = memory()
     endless = bytearray(photo((9, 9, 9), kind="HEIF"))

@@ -51,6 +51,7 @@ async def status(client: httpx.AsyncClient, path: str, **headers: str) -> int:
     return (await client.get(path, params=OF_ADA if path.startswith("/") else None, headers=headers)).status_code
 
 
+@pytest.mark.slow
 async def test_a_link_opens_one_thing_to_somebody_without_a_key(site: TwoTenants) -> None:
     made = await share(site, label="for Bob")
     assert made["url"] == f"{site.url}/s/{token_of(made)}"
@@ -159,6 +160,7 @@ async def test_passwords_cannot_be_guessed_at_will(site: TwoTenants, monkeypatch
     assert await code_of(answer) == (429, "PASSWORD_GUESSES_LIMITED")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("still_limits")
 async def test_who_guesses_one_password_keeps_nobody_from_the_others(
     site: TwoTenants, monkeypatch: pytest.MonkeyPatch

@@ -18,7 +18,7 @@ from which it fails. On a crowded machine, whose caches others use, the same tes
 # Modules. The first test that loads PyTorch or SciPy pays for all tests of its process, and is not judged.
 _IMPORTED = 30
 
-_UNMARKED = "cpu_s_without_a_mark"
+_NAMED = "cpu_s_without_a_mark"
 
 
 def _cpu_s() -> float:
@@ -27,26 +27,39 @@ def _cpu_s() -> float:
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
+    """Measure the fixtures that the test is the first to need. They do not fail it: others share them."""
+    yield from _measured(item, "setup", float("inf"))
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
-    """Measure the test alone, without its fixtures, which others may share."""
+    """Measure the test itself."""
+    yield from _measured(item, "call", LIMIT_S)
+
+
+def _measured(item: pytest.Item, phase: str, limit_s: float) -> Generator[None]:
     began, loaded = _cpu_s(), len(sys.modules)
     yield
     cost = _cpu_s() - began
-    item.user_properties.append(("cpu_s", round(cost, 3)))
+    item.user_properties.append((f"{phase}_cpu_s", round(cost, 3)))
     if cost <= MARK_S or len(sys.modules) - loaded >= _IMPORTED or any(map(item.get_closest_marker, COSTLY)):
         return
-    item.user_properties.append((_UNMARKED, round(cost, 1)))
-    if cost > LIMIT_S:
+    item.user_properties.append((_NAMED, [round(cost, 1), phase]))
+    if cost > limit_s:
         pytest.fail(f"took {cost:.1f} s of CPU time: make it cheaper, or mark it slow", pytrace=False)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Name the tests that should be cheaper or marked, the costliest first."""
-    passed = (
-        dict(report.user_properties) | {"name": report.nodeid} for report in terminalreporter.getreports("passed")
+    named = (
+        (*value, report.nodeid)
+        for report in terminalreporter.getreports("passed")
+        for name, value in report.user_properties
+        if name == _NAMED and report.when == "call"
     )
-    found = sorted(((each[_UNMARKED], each["name"]) for each in passed if _UNMARKED in each), reverse=True)
+    found = sorted(named, reverse=True)
     if found:
         terminalreporter.section("over a second of CPU time, and no mark that says so")
-        for seconds, name in found:
-            terminalreporter.line(f"{seconds:5.1f} s  {name}")
+        for seconds, phase, name in found:
+            terminalreporter.line(f"{seconds:5.1f} s  {phase:5}  {name}")

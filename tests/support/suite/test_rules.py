@@ -72,8 +72,11 @@ def test_a_costly_test_fails_unless_it_is_marked_or_loads_a_library_first(tmp_pa
 def test_what_costs_less_than_the_limit_is_named_at_the_end(tmp_path: Path, processes: str) -> None:
     said = _pytest(tmp_path, "-n", processes, limit=60)
     assert "5 passed" in said[-1]
-    (named,) = (line for line in said if " s  " in line and "test_it.py::" in line)
-    assert named.endswith("test_it.py::test_unmarked")
+    named = sorted(line.split()[2:] for line in said if " s  " in line and "test_it.py::" in line)
+    assert [(phase, name.partition("::")[2]) for phase, name in named] == [
+        ("call", "test_unmarked"),
+        ("setup", "test_behind_a_dear_fixture"),
+    ]
 
 
 @pytest.mark.parametrize("processes", ["0", "1"])

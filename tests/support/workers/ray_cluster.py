@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -27,6 +27,8 @@ _HEAD = ("--head", "--node-ip-address=127.0.0.1", "--port=6379", "--ray-client-s
 
 # As the runbook has it: Ray, too, starts Python in its current folder.
 _SAFE = {"PYTHONSAFEPATH": "1", "PYTHONPATH": str(ROOT)}
+# Ray gives its own processes 30 s to start, come what may; on a crowded machine, start again.
+_TOO_SLOW = "node timed out during startup"
 
 
 class RayCluster:
@@ -40,13 +42,11 @@ class RayCluster:
     def start_head(self) -> None:
         """Start the head, and wait until clients may connect."""
         self._start("head", *_HEAD, "--include-dashboard=false", f"--temp-dir={self._folder}/ray")
-        self._wait_for("head", "Ray runtime started")
 
     def start_nodes(self, **nodes: str) -> None:
         """Start nodes of one core, each with its own flags."""
         for name, flags in nodes.items():  # one by one: on one machine they would take each other's ports
             self._start(name, "--address=127.0.0.1:6379", "--num-cpus=1", *flags.split())
-            self._wait_for(name, "Ray runtime started")
 
     def kill(self, name: str) -> None:
         """Kill all processes of a node, as a power cut does."""
@@ -63,6 +63,14 @@ class RayCluster:
             self.kill(name)
 
     def _start(self, name: str, *flags: str) -> None:
+        """Start a node, and wait until it serves."""
+        deadline = time.monotonic() + _START_S
+        while (said := self._outcome(name, flags, deadline)) is not None:
+            if _TOO_SLOW not in said or time.monotonic() > deadline:
+                raise RuntimeError(f"Ray's {name} did not start: {said[-2000:]}")
+
+    def _outcome(self, name: str, flags: Sequence[str], deadline: float) -> str | None:
+        """Start a node once; what it said where it did not come to serve."""
         code = "import sys; from ray.scripts.scripts import main; sys.argv[0] = 'ray'; main()"
         with self._log(name).open("wb") as log:
             self._running[name] = subprocess.Popen(
@@ -72,13 +80,12 @@ class RayCluster:
                 stdout=log,
                 stderr=log,
             )
-
-    def _wait_for(self, name: str, text: str) -> None:
-        deadline = time.monotonic() + _START_S
-        while text not in (said := self._log(name).read_text(errors="replace")):
+        while "Ray runtime started" not in (said := self._log(name).read_text(errors="replace")):
             if time.monotonic() > deadline or self._running[name].poll() is not None:
-                raise RuntimeError(f"Ray's {name} did not start: {said[-2000:]}")
+                self.kill(name)
+                return said
             time.sleep(0.1)
+        return None
 
     def _log(self, name: str) -> Path:
         return self._folder / f"{name}.log"

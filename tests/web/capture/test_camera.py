@@ -102,7 +102,6 @@ def view_in(photo: Bytes, walk: Walk) -> int:
     return best if differences[best] < 8 and sharp[0] > 0.5 * sharp[1] else -1
 
 
-@pytest.mark.essential
 def test_photos_are_taken_where_the_phone_rests_and_blurred_ones_again(page: Page, site: Site, walk: Walk) -> None:
     open_camera(page, site.url)
     expect(page.locator("#automatic")).to_have_attribute("aria-pressed", "true")

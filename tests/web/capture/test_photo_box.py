@@ -86,7 +86,6 @@ def test_the_outline_is_shown_and_a_rectangle_says_what_is_meant(page: Page, sta
     expect(page.locator("#which-box")).to_be_hidden()
 
 
-@pytest.mark.essential
 def test_the_rectangle_goes_with_the_upload_and_the_job(page: Page, stack: Stack, photo: Path) -> None:
     sent: list[Request] = []
     page.on("request", lambda request: sent.append(request) if request.method == "POST" else None)

@@ -160,7 +160,6 @@ def test_no_line_is_drawn_in_a_photo_that_is_not_there_yet(page: Page, stack: St
     assert [lasso["photo"] for lasso in recipe_of(page)["lassos"]] == [picture_name(4)]
 
 
-@pytest.mark.essential
 def test_a_lasso_is_saved_and_is_there_again(page: Page, stack: Stack, balls: str) -> None:
     open_photos(page, stack, picture_name(3))
     page.get_by_label("Also what is hidden in this photo").check()

@@ -26,7 +26,6 @@ from tests.support.sites import Site
 pytestmark = pytest.mark.browser
 
 
-@pytest.mark.essential
 def test_a_file_is_made_and_saved_by_keyboard(page: Page, stack: Stack, bundle: Bundle, tmp_path: Path) -> None:
     publish(bundle, LocalStore(stack.store_root), key="bowl")
     page.goto(f"{stack.url}/view/bowl")

@@ -68,7 +68,6 @@ def share_of(page: Page, channel: int) -> float:
     return places_of(stage(page), channel)[0]
 
 
-@pytest.mark.essential
 def test_garments_of_a_season_come_one_after_the_other_by_buttons_and_keys(page: Page, shop: Site) -> None:
     page.goto(f"{shop.url}/wardrobe/default?season=summer")
     await_data(page, worn="blue")
