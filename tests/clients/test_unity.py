@@ -148,6 +148,7 @@ def test_unity_http(http_results: dict[str, str]) -> None:
     assert set(http_results.values()) == {"ok"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defines", _DEFINES)
 def test_every_addressables_finds_its_code(package: Compiler, tmp_path: Path, defines: str) -> None:
     symbols = ";".join(filter(None, (package.symbols, defines)))
@@ -155,10 +156,12 @@ def test_every_addressables_finds_its_code(package: Compiler, tmp_path: Path, de
     variant("Capture2vr.dll", _runtime(), _PLAIN, "Stubs.dll")
 
 
+@pytest.mark.slow
 def test_the_editor_part_compiles(package: Compiler) -> None:
     package("Capture2vr.Editor.dll", sorted((_PACKAGE / "Editor").glob("*.cs")), "Stubs.dll")
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_readme_compile(package: Compiler, tmp_path: Path) -> None:
     blocks = re.findall(r"```csharp\n(.*?)```", (_PACKAGE / "README.md").read_text(), re.DOTALL)
     assert len(blocks) == 5

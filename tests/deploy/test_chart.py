@@ -81,6 +81,7 @@ def test_helm_has_nothing_against_it(example: str) -> None:
     assert [each["error"] for each in found["messages"]] == ["icon is recommended"]
 
 
+@pytest.mark.slow
 def test_kubernetes_takes_every_manifest(manifests: list[dict[str, Any]]) -> None:
     import kubernetes_validate  # here: it loads a library that compiles grammars for seconds
 

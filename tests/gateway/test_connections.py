@@ -149,6 +149,7 @@ async def test_a_body_that_does_not_come_is_not_waited_for(tmp_path: Path, monke
         assert (status, problem["code"]) == (408, "REQUEST_SILENT")
 
 
+@pytest.mark.slow
 async def test_an_answer_that_nobody_reads_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "_STUCK_S", 0.3)
     store = LocalStore(tmp_path / "objects")

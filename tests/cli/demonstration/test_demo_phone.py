@@ -63,6 +63,7 @@ def test_the_capture_reads_as_rgbd_frames_of_a_lidar_phone(capture: Capture) -> 
         assert frame.load_rgb().shape == (720, 960, 3)
 
 
+@pytest.mark.slow
 def test_depth_lies_on_the_surface_but_for_noise(capture: Capture, scene: Mesh) -> None:
     surface = cKDTree(sample(scene, 400_000, np.random.default_rng(0)).xyz)
     gap = np.concatenate([surface.query(points_of(frame)[::20])[0] for frame in capture.frames])
@@ -70,6 +71,7 @@ def test_depth_lies_on_the_surface_but_for_noise(capture: Capture, scene: Mesh) 
     assert np.quantile(gap, 0.5) > 0.001  # a sensor without noise would prove nothing
 
 
+@pytest.mark.slow
 def test_edges_have_flying_pixels_and_grazing_surfaces_have_holes(capture: Capture, scene: Mesh) -> None:
     surface = cKDTree(sample(scene, 400_000, np.random.default_rng(0)).xyz)
     flying = [(surface.query(points_of(frame)[::5])[0] > 0.05).mean() for frame in capture.frames]
@@ -78,6 +80,7 @@ def test_edges_have_flying_pixels_and_grazing_surfaces_have_holes(capture: Captu
     assert 0.001 < np.mean(holes) < 0.2
 
 
+@pytest.mark.slow
 def test_photos_and_depth_show_the_same(capture: Capture) -> None:
     """The dress is dark and bluish, the floor is neither: in the photo and where the depth says the dress is."""
     frame = capture.frames[2]
@@ -91,6 +94,7 @@ def test_photos_and_depth_show_the_same(capture: Capture) -> None:
     assert teal[xyz[:, 1] < 0.02].mean() < 0.1
 
 
+@pytest.mark.slow
 def test_poses_are_rotations_and_circle_the_dress(folder: Path) -> None:
     poses = np.array(
         [frame["transform_matrix"] for frame in json.loads((folder / "transforms.json").read_text())["frames"]]
@@ -103,6 +107,7 @@ def test_poses_are_rotations_and_circle_the_dress(folder: Path) -> None:
     assert np.diff(heading).max() < 2 * np.pi / FRAMES + 0.2
 
 
+@pytest.mark.slow
 def test_the_zip_holds_exactly_the_folder(archive: Path, folder: Path) -> None:
     with zipfile.ZipFile(archive) as opened:
         assert sorted(opened.namelist()) == sorted(
@@ -121,6 +126,7 @@ def test_one_seed_gives_one_capture_and_another_gives_another(tmp_path: Path) ->
     assert first != other
 
 
+@pytest.mark.slow
 def test_depth_is_sixteen_bit_millimetres(folder: Path) -> None:
     depth = np.asarray(Image.open(folder / "depth" / "0000.png"))
     assert depth.dtype == np.uint16

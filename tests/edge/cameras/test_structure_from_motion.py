@@ -131,6 +131,7 @@ def test_the_cameras_of_a_scene_are_found_up_to_a_similarity(posed: list[Photo],
     assert abs(solved.views[0].distortion[0]) < 0.02
 
 
+@pytest.mark.slow
 def test_every_observation_names_a_point_and_a_view(solved: Alignment) -> None:
     assert len(solved.xyz) > 200
     assert solved.seen_point.shape == solved.seen_view.shape
@@ -217,6 +218,7 @@ def test_photos_of_different_things_are_refused_with_what_to_shoot() -> None:
     assert any("15 to 30 photos" in hint for hint in caught.value.hints)
 
 
+@pytest.mark.slow
 def test_two_photos_are_too_few(posed: list[Photo]) -> None:
     with pytest.raises(CaptureError, match="2 photos") as caught:
         align(posed[:2])
@@ -264,6 +266,7 @@ def test_a_child_that_is_killed_is_an_error_with_a_name(posed: list[Photo]) -> N
     assert caught.value.code == "ALIGN_FAILED"
 
 
+@pytest.mark.slow
 def test_the_childs_last_words_are_in_the_error(posed: list[Photo]) -> None:
     features = tuple(features_of(photo, FAST) for photo in posed[:3])
     unknown_lens = np.array([0, 0, 7])

@@ -46,6 +46,7 @@ def test_a_photo_is_decoded_once_however_often_and_wherever_it_is_read() -> None
     assert whole.asked == [COPY_PX]
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(st.integers(200, 2600), st.integers(200, 2600), st.integers(320, COPY_PX))
 def test_a_copy_shows_what_the_photo_shows(width: int, height: int, longest: int) -> None:

@@ -69,6 +69,7 @@ def test_boxes_give_the_points_of_fusing_at_once() -> None:
         assert np.percentile(away, 99) < 0.1 * VOXEL
 
 
+@pytest.mark.slow
 def test_points_are_not_thinned() -> None:
     """What is in memory is some of them; without boxes, the voxels would have grown."""
     fused = by_boxes()

@@ -97,6 +97,7 @@ def grainy(rgb: np.ndarray, number: int) -> np.ndarray:
     return rgb + np.random.default_rng(number).normal(0, 8, rgb.shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [drifting, grainy])
 def test_a_drifting_exposure_and_a_grainy_sensor_change_nothing(
     taken: Capture, spoil: Callable[[np.ndarray, int], np.ndarray]
@@ -104,21 +105,25 @@ def test_a_drifting_exposure_and_a_grainy_sensor_change_nothing(
     assert len(mask_background(changed(taken, spoil))) == len(taken.photos)
 
 
+@pytest.mark.slow
 def test_a_walk_around_is_none(walk: Capture) -> None:
     assert mask_background(walk.photos) == ()
 
 
+@pytest.mark.slow
 def test_a_film_of_nothing_moving_is_none(taken: Capture) -> None:
     still = changed(replace(taken, photos=(taken.photos[0],) * 10), grainy)
     assert mask_background(still) == ()
 
 
+@pytest.mark.slow
 def test_a_thing_on_plain_white_is_none(tmp_path: Path, taken: Capture) -> None:
     """Whether it turns or somebody walks around it: there is no still texture to lead the matching astray."""
     plain = render_turntable(tmp_path, views=8, size=(320, 240), turn=90, plain=True)
     assert mask_background(read_capture(plain.photos[0].parent).photos) == ()
 
 
+@pytest.mark.slow
 def test_a_makers_mark_in_every_photo_of_a_walk_is_no_background(walk: Capture) -> None:
     mark = np.random.default_rng(0).uniform(0, 255, (40, 90, 3))
 
@@ -129,6 +134,7 @@ def test_a_makers_mark_in_every_photo_of_a_walk_is_no_background(walk: Capture) 
     assert mask_background(changed(walk, marked)) == ()
 
 
+@pytest.mark.slow
 def test_photos_of_several_cameras_or_of_known_pose_are_none(taken: Capture) -> None:
     first, *others = taken.photos
     two_cameras = [replace(photo, camera=f"{number % 2}") for number, photo in enumerate(taken.photos)]
@@ -136,6 +142,7 @@ def test_photos_of_several_cameras_or_of_known_pose_are_none(taken: Capture) -> 
     assert mask_background((replace(first, camera_to_world=np.eye(4)), *others)) == ()
 
 
+@pytest.mark.slow
 def test_one_edited_photo_among_them_only_has_no_mask(taken: Capture) -> None:
     """Smaller and without metadata, as when it was sent by a messenger: a turntable without masks cannot be placed."""
     edited = replace(taken.photos[3], camera="none", size=tuple(side // 2 for side in taken.photos[3].size))
@@ -144,6 +151,7 @@ def test_one_edited_photo_among_them_only_has_no_mask(taken: Capture) -> None:
     assert len(masked) == len(taken.photos)
 
 
+@pytest.mark.slow
 def test_a_photo_that_cannot_be_read_is_left_to_the_screen(taken: Capture) -> None:
     def broken(longest: int | None = None) -> np.ndarray:
         raise CaptureError("IMAGE_UNREADABLE", "is cut off", file="a.jpg")
@@ -271,6 +279,7 @@ def test_a_part_of_a_photo_shows_what_the_whole_does_there(
     assert shown[row, column, 1] == pytest.approx(255 * (top + (row + 0.5) / by_y) / height, abs=3)
 
 
+@pytest.mark.slow
 def test_key_points_lie_inside_the_mask_and_none_is_lost_to_those_outside(taken: Capture) -> None:
     photo = taken.photos[0]
     mask = np.zeros((30, 40), bool)

@@ -169,6 +169,7 @@ def lasso(number: int, centre: Floats = RED_AT, **more: Any) -> PhotoLasso:
     return PhotoLasso(picture_name(number), tuple(line_around(centre, number)), **more)
 
 
+@pytest.mark.slow
 def test_one_lasso_takes_what_its_photo_shows_and_leaves_the_other_thing(points: Points) -> None:
     before, after = on_ball(points.xyz, RED_AT), cut(points, lasso(3))
     pose = np.asarray(points.drawn_in[3].camera_to_world)

@@ -84,6 +84,7 @@ def with_area(mesh: Mesh) -> np.ndarray:
     return np.asarray(area > 1e-6 * area.mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_triangle_has_a_place_of_its_own_within_the_square(kind: str) -> None:
     mesh = KINDS[kind]

@@ -84,6 +84,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return *run(folder), folder
 
 
+@pytest.mark.slow
 def test_every_tile_and_ancestor_is_a_file(made: Made) -> None:
     scene, _, _ = made
     nodes = list(scene.root)
@@ -93,6 +94,7 @@ def test_every_tile_and_ancestor_is_a_file(made: Made) -> None:
     assert json.loads(scene.document)["asset"]["version"] == "1.1"
 
 
+@pytest.mark.slow
 def test_a_tile_of_slivers_alone_is_empty(made: Made) -> None:
     """A surface may reach into a tile by less than what positions are rounded to."""
     corner = made[0].grid.corner_of((1, 0, 0)) + 5
@@ -102,6 +104,7 @@ def test_a_tile_of_slivers_alone_is_empty(made: Made) -> None:
     assert (len(level.mesh.faces), level.content) == (0, b"")
 
 
+@pytest.mark.slow
 def test_an_ancestor_is_coarser_and_says_by_how_much(made: Made) -> None:
     root = made[0].root
     assert root.children
@@ -133,6 +136,7 @@ def wavy_tile(number: int) -> Mesh:
     return Mesh(CELL_M * np.stack([x, 20 + 3 * np.sin(x / 5) * np.cos(z / 6), z], axis=1), sheet.faces)
 
 
+@pytest.mark.slow
 def test_tiles_as_delivered_share_their_border_vertices(made: Made) -> None:
     scene = made[0]
     assert_they_meet(*(Glb.of(scene.files[child.name].read_bytes()) for child in scene.root.children))
@@ -171,6 +175,7 @@ def made_again(made: Made, folder: Path, nodes: list[Node], engine: Engine | Non
     return [Glb.of((folder / "level" / f"{node.name}.glb").read_bytes()) for node in nodes]
 
 
+@pytest.mark.slow
 def test_a_tile_that_pictures_show_gets_a_texture_of_them(made: Made, tmp_path: Path) -> None:
     with open_engine("local", ROOM) as engine:
         (content,) = made_again(made, tmp_path / "scene", [Node(0, (0, 0, 0))], engine)
@@ -216,6 +221,7 @@ def test_a_scene_of_millimetres_keeps_its_triangles(tmp_path: Path) -> None:
     assert (np.diff(np.sort(whole.faces, axis=1), axis=1) > 0).all()
 
 
+@pytest.mark.slow
 def test_progress_counts_tiles(made: Made) -> None:
     said = [step.message for step in made[1] if step.stage == "EXTRACTING"]
     assert said[-3:] == ["0 of 2 tiles", "1 of 2 tiles", "2 of 2 tiles"]
@@ -223,6 +229,7 @@ def test_progress_counts_tiles(made: Made) -> None:
     assert fractions == sorted(fractions)
 
 
+@pytest.mark.slow
 def test_points_may_come_in_parts(made: Made, tmp_path: Path) -> None:
     whole = points()
 
@@ -239,6 +246,7 @@ def test_points_may_come_in_parts(made: Made, tmp_path: Path) -> None:
     assert files.tiles == SceneFolder(made[2]).tiles
 
 
+@pytest.mark.slow
 def test_a_crowded_tile_is_thinned_in_parts(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a tile beside a scanner must be; the points are the same."""
     shutil.copytree(made[2], tmp_path / "scene")

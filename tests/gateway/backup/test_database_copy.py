@@ -232,6 +232,7 @@ def test_a_newer_schema_is_refused(url: str) -> None:
         check_importable(url, "9999")
 
 
+@pytest.mark.slow
 def test_a_database_with_rows_is_refused_and_left_alone(url: str, target: str, tmp_path: Path) -> None:
     with opened(url) as engine:
         fill(engine)

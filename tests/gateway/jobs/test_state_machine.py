@@ -169,7 +169,7 @@ class JobMachine(RuleBasedStateMachine):
             assert job.fraction == 1.0
 
 
-TestJobMachine = JobMachine.TestCase
+TestJobMachine = pytest.mark.slow(pytest.mark.essential(JobMachine.TestCase))
 TestJobMachine.settings = settings(max_examples=80, stateful_step_count=30)
 
 

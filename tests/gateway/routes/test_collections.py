@@ -156,6 +156,7 @@ async def test_a_row_leads_to_the_rest(gateway: httpx.AsyncClient, store: Memory
     assert (await gateway.get(row["self"])).json()["version"] == row["version"]
 
 
+@pytest.mark.slow
 async def test_removed_is_gone_everywhere_and_restored_is_back(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
     for _ in range(2):
         answer = await gateway.post("/v1/assets/shoe/remove")

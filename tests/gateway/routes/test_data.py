@@ -332,6 +332,7 @@ async def test_a_browsers_login_is_recorded_with_its_key(tmp_path: Path) -> None
         assert secret not in json.dumps(await audit(site.operator, tenant="*"))
 
 
+@pytest.mark.slow
 def test_a_row_can_be_neither_changed_nor_deleted(url: str) -> None:
     engine = open_engine(url)
     store = AuditStore(engine)

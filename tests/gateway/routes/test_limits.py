@@ -122,6 +122,7 @@ class TestBytes:
             await site.ada.delete(f"/v1/captures/{receipt['capture']}")
             assert (await send(site.ada)).status_code == 201
 
+    @pytest.mark.slow
     async def test_a_store_that_does_not_answer_while_it_is_counted_is_named(self, tmp_path: Path) -> None:
         store = AwayStore()
         async with two_tenants(tmp_path, store) as site:

@@ -115,6 +115,7 @@ def test_a_shard_comes_back_as_it_was(many: list[Row]) -> None:
         assert fault_of(lambda data=broken: read_shard(data, shard)) == SHARD_CHANGED
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.lists(st.sampled_from([f"k{n:02d}" for n in range(40)]), min_size=1, max_size=60))
 def test_shards_split_and_stay_in_order(keys: list[str]) -> None:

@@ -11,7 +11,7 @@ import pytest
 COSTLY = {"browser", "compose", "docker", "gpu", "s3", "slow"}
 """Marks of tests that may take more than a second."""
 
-MARK_S, LIMIT_S = 1.0, 10.0
+MARK_S, LIMIT_S = 1.0, 5.0
 """CPU seconds of a test's own code and of the children that it waited for, from which it is named at the run's end, and
 from which it fails. On a crowded machine, whose caches others use, the same test takes up to twice as much."""
 

@@ -81,7 +81,6 @@ def open_tab(page: Page, name: str) -> None:
     page.get_by_role("tab", name=name).click()
 
 
-@pytest.mark.essential
 def test_a_box_is_saved_compared_downloaded_and_undone(page: Page, stack: Stack, scan: Path, tmp_path: Path) -> None:
     first = made(stack, scan, "cut")
     page.goto(f"{stack.url}/edit/cut")
