@@ -39,14 +39,9 @@ LONG_FILES = {
     "process/archives.py",
 }
 COMPLEX = {
-    "edge/clouds/obj.py:read",
     "edge/jobs/points_archive.py:read_prepared",
     "edge/odometry/check_poses.py:pose_fault",
     "edge/points/isolate.py:isolate_object",
-    "edge/read_capture.py:_nothing_readable",
-    "edge/recordings/depth16.py:read",
-    "edge/recordings/nerfstudio.py:read",
-    "edge/recordings/tum.py:_read_tum",
     "gateway/strip/heif.py:_item_extents",
     "gateway/uploads/validate.py:validate",
 }
