@@ -39,9 +39,6 @@ LONG_FILES = {
     "process/archives.py",
 }
 COMPLEX = {
-    "edge/jobs/points_archive.py:read_prepared",
-    "edge/odometry/check_poses.py:pose_fault",
-    "edge/points/isolate.py:isolate_object",
     "gateway/strip/heif.py:_item_extents",
     "gateway/uploads/validate.py:validate",
 }
