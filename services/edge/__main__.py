@@ -21,7 +21,7 @@ from capture2vr.edge.worker.server import serve
 from capture2vr.edge.worker.settings import EdgeSettings, central_credentials, server_security
 from capture2vr.process.logs import configure
 from capture2vr.process.strict_settings import SettingsError
-from capture2vr.storage.settings import StorageSettings, open_publish, open_store
+from capture2vr.storage.settings import StorageSettings, open_policy, open_store
 
 _VARIABLES = {"PRESET_INVALID": "EDGE_PRESETS", "KTX2_UNAVAILABLE": "EDGE_KTX2"}  # error code -> variable at fault
 
@@ -53,7 +53,7 @@ def _start(*, out_of_memory: bool) -> int:
     """Run a worker in this process. out_of_memory: whether the kernel has killed the one before it for that"""
     try:
         settings, storage = EdgeSettings(), StorageSettings()
-        store, publish = open_store(storage), open_publish(storage)
+        store, policy = open_store(storage), open_policy(storage)
         server_security(settings)  # checked before anything that is slow to load
         credentials = central_credentials(settings)
         device = find_device(settings.device)
@@ -68,7 +68,7 @@ def _start(*, out_of_memory: bool) -> int:
     central = Central(settings.central, credentials=credentials) if settings.central else None
     room = Needs(machine_cores() / settings.slots, 1 / settings.slots, machine_bytes() // settings.slots)
     engine = engine_for_parts(settings.engine, room)
-    fitter = FieldFitter(store, presets, device, memory, publish, encode, engine)
+    fitter = FieldFitter(store, presets, device, memory, policy, encode, engine)
     work = Reconstructor(fitter, central, storage.collection)
     work.warm_up()
     return serve(settings, work, out_of_memory=out_of_memory)

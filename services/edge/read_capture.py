@@ -155,23 +155,41 @@ def _candidate(folder: Folder, name: str) -> str | None:
 
 def _nothing_readable(folder: Folder) -> CaptureError:
     """Return the most specific error for a capture without a readable file: empty, mislabelled, archive, unknown."""
-    sizes = {name: folder.path(name).stat().st_size for name in folder.names}
-    if not any(sizes.values()):
-        only = folder.names[0] if len(folder.names) == 1 else None
-        return CaptureError("CAPTURE_EMPTY", say("file_empty") if only else say("all_files_empty"), file=only)
-    for name in folder.names:
-        if name.lower().endswith(_CLOUD_SUFFIXES):
-            what = say("has_suffix_but_content_another", suffix=Path(name).suffix) if sizes[name] else "is empty"
-            return unreadable(name, what) if sizes[name] else CaptureError("CAPTURE_EMPTY", what, file=name)
-    heads = [_head(folder.path(name)) for name in folder.names]
-    only = folder.names[0] if len(folder.names) == 1 else None
-    archive = next((name for name, head in zip(folder.names, heads, strict=True) if head.startswith(_ARCHIVES)), None)
-    if archive is not None:
-        hint = say("unpack_send_files")
-        what = say("archive_archives_not_unpacked_here")
-        return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=archive, hints=(hint,))
+    return _all_empty(folder) or _mislabelled_cloud(folder) or _packed(folder) or _unknown(folder)
+
+
+def _all_empty(folder: Folder) -> CaptureError | None:
+    if any(folder.path(name).stat().st_size for name in folder.names):
+        return None
+    only = _only_file(folder)
+    return CaptureError("CAPTURE_EMPTY", say("file_empty") if only else say("all_files_empty"), file=only)
+
+
+def _mislabelled_cloud(folder: Folder) -> CaptureError | None:
+    name = next((name for name in folder.names if name.lower().endswith(_CLOUD_SUFFIXES)), None)
+    if name is None:
+        return None
+    if folder.path(name).stat().st_size == 0:
+        return CaptureError("CAPTURE_EMPTY", "is empty", file=name)
+    return unreadable(name, say("has_suffix_but_content_another", suffix=Path(name).suffix))
+
+
+def _packed(folder: Folder) -> CaptureError | None:
+    archive = next((name for name in folder.names if _head(folder.path(name)).startswith(_ARCHIVES)), None)
+    if archive is None:
+        return None
+    what, hints = say("archive_archives_not_unpacked_here"), (say("unpack_send_files"),)
+    return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=archive, hints=hints)
+
+
+def _unknown(folder: Folder) -> CaptureError:
+    only = _only_file(folder)
     what = say("not_in_known_format") if only else say("no_file_capture_in_known")
     return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=only, hints=(_FORMATS_HINT,))
+
+
+def _only_file(folder: Folder) -> str | None:
+    return folder.names[0] if len(folder.names) == 1 else None
 
 
 def _head(path: Path) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +11,7 @@ from pydantic_settings import SettingsConfigDict
 
 from capture2vr.process.strict_settings import CommaList, SettingsError, StrictSettings
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
-from capture2vr.storage.catalogue.publish import Publish, publish
+from capture2vr.storage.catalogue.publish import PublishPolicy
 from capture2vr.storage.catalogue.signing import KeyFileError, Keys, read_public_key, read_signer
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.store import Store
@@ -96,11 +95,11 @@ def open_keys(settings: StorageSettings) -> Keys:
         raise SettingsError(f"{variable}: {error}") from None
 
 
-def open_publish(settings: StorageSettings) -> Publish:
-    """Return `publish` as workers use it: signing with these settings' keys, and never adding an asset of another
-    collection to a second one. Raises SettingsError.
+def open_policy(settings: StorageSettings) -> PublishPolicy:
+    """Return the policy by which workers publish: they sign with these settings' keys, and never list an asset of
+    another collection in a second one. Raises SettingsError.
     """
-    return partial(publish, keys=open_keys(settings), allow_other_collections=False)
+    return PublishPolicy(open_keys(settings), allow_other_collections=False)
 
 
 def _open_s3(settings: StorageSettings, access: str, secret: str) -> Store:

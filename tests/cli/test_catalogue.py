@@ -19,7 +19,7 @@ from capture2vr.gateway.app import create_app
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from capture2vr.storage.local import LocalStore
 from tests.support.bundles import bundle
@@ -34,8 +34,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     generate_key(folder / "key")
     generate_key(folder / "other")
     store, keys = LocalStore(folder / "objects"), Keys((read_signer(folder / "key"),))
-    publish(bundle(label="[bold]Shoe", labels=["footwear"]), store, key="shoe", keys=keys)
-    publish(bundle(label="Sofa"), store, key="sofa", keys=keys)
+    publish(bundle(label="[bold]Shoe", labels=["footwear"]), store, key="shoe", policy=PublishPolicy(keys))
+    publish(bundle(label="Sofa"), store, key="sofa", policy=PublishPolicy(keys))
     return folder
 
 
@@ -111,7 +111,7 @@ def test_what_is_there_is_listed_removed_and_restored(url: str, run: Run) -> Non
 
 @pytest.mark.slow
 def test_a_collection_of_ones_own(url: str, store: LocalStore, folder: Path, run: Run) -> None:
-    publish(bundle(), store, key="hers", collection="ada", keys=Keys((read_signer(folder / "key"),)))
+    publish(bundle(), store, key="hers", collection="ada", policy=PublishPolicy(Keys((read_signer(folder / "key"),))))
     assert "ada: 1 assets" in run("ls", "--gateway", url, "--collection", "ada").said
     assert "ada: 1 assets" in run("ls", "--gateway", url, STORAGE_COLLECTION="ada").said
     assert "hers" not in run("ls", "--gateway", url).said

@@ -21,7 +21,7 @@ from capture2vr.errors import BadInput
 from capture2vr.storage.bundle import content_name, sha256_hex
 from capture2vr.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.reader import parse_manifest
 from capture2vr.storage.catalogue.removal import remove
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
@@ -45,7 +45,7 @@ class Site:
     asked: list[str] = field(default_factory=list)
 
     def publish(self, content: str) -> None:
-        publish(bundle(content=content), self.store, key=KEY, collection=HOME, keys=self.keys)
+        publish(bundle(content=content), self.store, key=KEY, collection=HOME, policy=PublishPolicy(self.keys))
 
     def answer(self, path: str) -> tuple[int, bytes]:
         self.asked.append(path)
@@ -299,7 +299,7 @@ def test_files_that_the_new_version_has_no_more_go_unless_they_are_yours(
     (out / "preview.png").write_text("drawn over")
     fewer = bundle(content="two")
     files = {name: content for name, content in fewer.files.items() if name not in ("mesh.ply", "preview.png")}
-    publish(replace(fewer, files=files), site.store, key=KEY, collection=HOME, keys=site.keys)
+    publish(replace(fewer, files=files), site.store, key=KEY, collection=HOME, policy=PublishPolicy(site.keys))
     pull()
     assert held(out).keys() == {"lod0.glb", "lod1.glb", "manifest.json", "notes.txt", "preview.png"}
 
@@ -411,7 +411,7 @@ def test_a_manifest_lists_each_file_once_with_its_hash() -> None:
 
 def test_a_pulled_scene_in_tiles_is_a_tileset_of_its_own(site: Site, pull: Pull, tmp_path: Path) -> None:
     scene, root = hill_bundle(levels=2)
-    publish(scene, site.store, key=KEY, collection=HOME, keys=site.keys)
+    publish(scene, site.store, key=KEY, collection=HOME, policy=PublishPolicy(site.keys))
 
     pull()
 

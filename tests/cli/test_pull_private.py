@@ -12,7 +12,7 @@ import pytest
 from capture2vr.cli.remote.pull import pull_asset
 from capture2vr.errors import BadInput
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.bundles import bundle
@@ -36,7 +36,7 @@ def site(tmp_path: Path, secret: str) -> Iterator[Site]:
     generate_key(tmp_path / "key")
     keys = Keys((read_signer(tmp_path / "key"),))
     with site_at(tmp_path, keys) as site:
-        publish_for(site.store, "ada", "shoe", keys=keys)
+        publish_for(site.store, "ada", "shoe", policy=PublishPolicy(keys))
         yield site
 
 
@@ -93,7 +93,7 @@ def test_by_a_collections_link_with_a_password(
 def test_an_older_version_than_was_seen_is_refused(pull: Pull, site: Site, secret: str) -> None:
     link = share(site, secret, asset="shoe")["url"]
     entry = site.store.get("tenants/ada/catalog/shoe.json")
-    publish(bundle(content="two"), store_of_tenant(site.store, "ada"), key="shoe", keys=site.keys)
+    publish(bundle(content="two"), store_of_tenant(site.store, "ada"), key="shoe", policy=PublishPolicy(site.keys))
     pull(share=link)
     site.store.put("tenants/ada/catalog/shoe.json", entry, content_type="application/json")
     with pytest.raises(BadInput, match="older than 2"):

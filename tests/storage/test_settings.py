@@ -8,11 +8,11 @@ import pytest
 
 from capture2vr.process.strict_settings import SettingsError
 from capture2vr.storage.bucket import main
-from capture2vr.storage.catalogue.publish import KeyElsewhere
+from capture2vr.storage.catalogue.publish import KeyElsewhere, publish
 from capture2vr.storage.catalogue.signing import generate_key
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.s3 import S3Store
-from capture2vr.storage.settings import StorageSettings, open_publish, open_store
+from capture2vr.storage.settings import StorageSettings, open_policy, open_store
 from tests.support.bundles import bundle, listed
 
 
@@ -60,8 +60,8 @@ def test_half_a_pair_of_keys_is_an_error() -> None:
 def test_a_worker_publishes_with_the_keys_of_its_settings(tmp_path: Path) -> None:
     public = generate_key(tmp_path / "key")
     settings = StorageSettings(root=tmp_path / "objects", signing_key=(str(tmp_path / "key"),))
-    store = open_store(settings)
-    open_publish(settings)(bundle(), store, key="dress", job="job_1", fence=1, collection="mine")
+    store, policy = open_store(settings), open_policy(settings)
+    publish(bundle(), store, key="dress", job="job_1", collection="mine", policy=policy)
     assert list(listed(store, "mine", believed=(public,))) == ["dress"]
     with pytest.raises(KeyElsewhere, match="in collection mine, not in other"):
-        open_publish(settings)(bundle(), store, key="dress", job="job_2", fence=1, collection="other")
+        publish(bundle(), store, key="dress", job="job_2", collection="other", policy=policy)

@@ -17,14 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture2vr.edge.arrays import Bytes, Floats, Ints, Tick
+from capture2vr.edge.arrays import Floats, Ints, Tick
 from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
-from capture2vr.edge.capture.images import check_header, check_pixels, read_bytes
+from capture2vr.edge.capture.images import check_header, read_bytes
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.mtl import Material, read_mtl
+from capture2vr.edge.clouds.obj_colours import ObjColours
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
-from capture2vr.edge.clouds.surface_colours import absent_textures, nearest_texels, vertex_colours
+from capture2vr.edge.clouds.surface_colours import absent_textures
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
@@ -65,7 +66,7 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
         check_header(read_bytes(folder.path(name), name), name)
     uv = np.zeros((len(coordinates), 2))
     uv[:, : coordinates.shape[1]] = coordinates[:, :2]
-    colours = _Colours(folder, used, material, uv, uv_faces, faces, rgb)
+    colours = ObjColours(folder, used, material, uv, uv_faces, faces, rgb)
     surface = SampledSurface(cloud.xyz, faces, colours.colour_at if colours.there else None)
     return ObjFile(cloud, surface, absent_textures(file, [each.absent for each in used if each.absent]))
 
@@ -128,21 +129,7 @@ class _Reader:
                 tick(lines.tell() / len(data))
             if len(line) > _MAX_LINE:
                 raise unreadable(self._file, say("has_line_bytes_most_read", length=len(line), most=_MAX_LINE))
-            key, *words = line.split() or (b"",)
-            if b"#" in line:
-                words = list(takewhile(lambda word: not word.startswith(b"#"), words))
-            if not words:
-                continue
-            if key == b"v":
-                self.vertices.add(words)
-            elif key == b"vt":
-                self.coordinates.add(words)
-            elif key == b"f":
-                self._add_face(words)
-            elif key == b"usemtl":
-                self._use(_rest(line))
-            elif key == b"mtllib":
-                self.libraries.append(_rest(line))
+            self._read_line(line)
 
     def triangles(self, vertices: int, coordinates: int) -> tuple[Ints, Ints, Ints]:
         """Triangulate: indices of vertices (F,3), of texture coordinates (F,3), -1: none, and of materials (F,)."""
@@ -152,6 +139,23 @@ class _Reader:
         if len(faces) and (faces.min() < 0 or faces.max() >= vertices):
             raise ValueError(say("face_has_indices_vertices"))
         return faces, np.where(uv_faces < coordinates, uv_faces, -1), material
+
+    def _read_line(self, line: bytes) -> None:
+        key, *words = line.split() or (b"",)
+        if b"#" in line:
+            words = list(takewhile(lambda word: not word.startswith(b"#"), words))
+        if not words:
+            return
+        if key == b"v":
+            self.vertices.add(words)
+        elif key == b"vt":
+            self.coordinates.add(words)
+        elif key == b"f":
+            self._add_face(words)
+        elif key == b"usemtl":
+            self._use(_rest(line))
+        elif key == b"mtllib":
+            self.libraries.append(_rest(line))
 
     def _use(self, name: str) -> None:
         self._material = self._numbers.setdefault(name, len(self.materials))
@@ -238,63 +242,3 @@ def _materials(folder: Folder, file: str, libraries: Iterable[str]) -> dict[str,
             if name is not None or folder.exists(own):
                 materials = read_mtl(folder, name or own) | materials
     return materials
-
-
-def _decode(folder: Folder, name: str) -> Bytes:
-    """Decode a texture to (H,W,3) uint8."""
-    from PIL import Image
-
-    with translate_errors(name, "picture"), Image.open(BytesIO(read_bytes(folder.path(name), name))) as image:
-        check_pixels(image.size, name)
-        return np.asarray(image.convert("RGB"), np.uint8)
-
-
-@dataclass(frozen=True, slots=True)
-class _Colours:
-    """The colours of an OBJ's triangles: of the texture, or else of the vertices, or else of the material.
-
-    A material beside vertex colours is a writer's default: it is taken only where all vertices are white.
-    """
-
-    folder: Folder
-    materials: list[Material]
-    material: Ints  # (F,), of each triangle
-    uv: Floats  # (T,2)
-    uv_faces: Ints  # (F,3)
-    faces: Ints  # (F,3)
-    rgb: Bytes | None  # (V,3), of the vertices
-
-    @property
-    def there(self) -> bool:
-        """Whether any vertex, material or texture has colours."""
-        return self._painted or any(each.texture or each.diffuse for each in self.materials)
-
-    @property
-    def _painted(self) -> bool:
-        return self.rgb is not None and bool((self.rgb < 255).any())
-
-    def colour_at(self, triangle: Ints, weights: Floats) -> Bytes:
-        """Colours (N,3) uint8 of points in `triangle` (N,) with barycentric `weights` (N,3); white without any."""
-        material = self.material[triangle]
-        if self.rgb is not None and self._painted:
-            rgb = vertex_colours(self.rgb, self.faces)(triangle, weights)
-        else:
-            rgb = np.stack([_diffuse(each) for each in self.materials])[material]
-        mapped = (self.uv_faces[triangle] >= 0).all(axis=1)
-        for name in sorted({each.texture for each in self.materials if each.texture}):
-            here = [number for number, each in enumerate(self.materials) if each.texture == name]
-            at = np.flatnonzero(mapped & np.isin(material, here))
-            if len(at):
-                uv = np.einsum("nc,ncd->nd", weights[at], self.uv[self.uv_faces[triangle[at]]])
-                scale = np.array([each.scale for each in self.materials])[material[at]]
-                offset = np.array([each.offset for each in self.materials])[material[at]]
-                rgb[at] = nearest_texels(_decode(self.folder, name), uv * scale + offset)
-        return rgb
-
-
-def _diffuse(material: Material) -> Bytes:
-    """RGB of a material's colour; white where it has a texture, whose coordinates are missing, or no colour."""
-    if material.texture or material.diffuse is None:
-        return np.full(3, 255, np.uint8)
-    rgb: Bytes = np.rint(255 * np.clip(np.nan_to_num(np.array(material.diffuse)), 0, 1)).astype(np.uint8)
-    return rgb

@@ -30,7 +30,7 @@ from capture2vr.sentences.documents import codes_as_json
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, Json
 from capture2vr.storage.catalogue.job_versions import StaleFence
-from capture2vr.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, publish
+from capture2vr.storage.catalogue.publish import DEFAULT_POLICY, KeyElsewhere, PublishedAsset, PublishPolicy, publish
 from capture2vr.storage.catalogue.visibility import parse_visibility
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
@@ -42,6 +42,7 @@ class FieldFitter:
     """Fits fields to points on `device`, within the memory budget, and publishes to `store`.
 
     presets  by name, the default first
+    policy   by which it publishes
     encode   encoder of KTX2 textures; without it, targets that want KTX2 are refused
     engine   works at the tiles of large scenes; None: this process
     """
@@ -52,14 +53,14 @@ class FieldFitter:
         presets: Mapping[str, Preset],
         device: Device,
         memory: MemoryBudget,
-        publish: Publish = publish,
+        policy: PublishPolicy = DEFAULT_POLICY,
         encode: EncodeKtx2 | None = None,
         engine: OpenEngine | None = None,
     ) -> None:
         self.store = store
         self._encode = encode
         self._engine = engine
-        self._publish = publish
+        self._policy = policy
         self.presets = presets
         self.device = device
         self._memory = memory
@@ -123,7 +124,7 @@ class FieldFitter:
         """
         publishing = coded_progress(publishing_message(bundle.state), stage=pb.PUBLISHING, fraction=reached)
         try:
-            return self._publish(
+            return publish(
                 bundle,
                 store_of_tenant(self.store, request.tenant),
                 key=request.asset_key,
@@ -131,7 +132,7 @@ class FieldFitter:
                 fence=request.fence,
                 collection=request.options.collection,
                 visibility=parse_visibility(request.options.visibility),
-                proceed=lambda: report(publishing),
+                policy=replace(self._policy, proceed=lambda: report(publishing)),
             )
         except StaleFence:
             message = say("another_worker_has_taken_over")

@@ -121,16 +121,25 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
     except ArchiveError as error:
         raise invalid(error.message, error.file) from None
     head = _read_head(scratch / _HEAD)
-    pictures = view_files(len(head.views))
+    _require_files(scratch, _files_of(head))
+    seconds = {str(stage): seconds for stage, seconds in head.seconds.items()}
+    return PreparedPoints(_read_points(scratch, head), head.source, seconds)
+
+
+def _files_of(head: _Head) -> set[str]:
+    """Return the names of the files that an archive with this head has."""
     optional = ({_RGB} if head.coloured else set()) | ({WHOLE} if head.whole else set())
-    _require_files(scratch, {_HEAD, _XYZ, _CONFIDENCE} | pictures | optional)
+    return {_HEAD, _XYZ, _CONFIDENCE} | view_files(len(head.views)) | optional
+
+
+def _read_points(scratch: Path, head: _Head) -> Points:
+    """Read and check the arrays and pictures of an unpacked archive. Raises EdgeError POINTS_INVALID."""
     xyz, confidence = (_read_array(scratch / name, head.points) for name in (_XYZ, _CONFIDENCE))
     rgb = _read_array(scratch / _RGB, head.points) if head.coloured else None
     _require_cloud(xyz)
-    if not ((confidence >= 0) & (confidence <= 1)).all():  # false for NaN
-        raise invalid("has confidences outside [0, 1]", _CONFIDENCE)
+    _require_confidences(confidence)
     views = read_views(scratch, head.views, _HEAD)
-    points = Points(
+    return Points(
         texture_views=tuple(view for view, each in zip(views, head.views, strict=True) if not each.held_out),
         held_out_views=tuple(view for view, each in zip(views, head.views, strict=True) if each.held_out),
         xyz=xyz,
@@ -147,7 +156,6 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
         cameras=head.cameras,
         whole=None if head.whole is None else read_whole(scratch / WHOLE, head.whole),
     )
-    return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
 
 
 def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: ArchivedWhole | None) -> _Head:
@@ -235,3 +243,8 @@ def _require_cloud(xyz: Any) -> None:
         raise invalid(f"has coordinates that are not finite, or beyond {_FARTHEST:g}", _XYZ)
     if not np.ptp(xyz, axis=0).any():
         raise invalid("has all its points in one place", _XYZ)
+
+
+def _require_confidences(confidence: Any) -> None:
+    if not ((confidence >= 0) & (confidence <= 1)).all():  # false for NaN
+        raise invalid("has confidences outside [0, 1]", _CONFIDENCE)

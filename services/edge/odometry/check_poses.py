@@ -64,23 +64,29 @@ def pose_fault(frames: Sequence[Frame]) -> str | None:
     glimpses = [found for number in numbers.tolist() if (found := _glimpse(frames[number])) is not None]
     if (jump := _jump(frames, glimpses)) > _LONGEST_JUMP:
         return say("from_frame_to_frame_camera", times=jump)
-    pairs = [
-        pair
-        for first in range(len(glimpses))
-        for step in _STEPS
-        if 0 <= first + step < len(glimpses) and (pair := _compare(glimpses[first], glimpses[first + step]))
-    ]
+    pairs = _compare_neighbours(glimpses)
     if not pairs:
         return None
     seen_alike = float(np.median([share for share, _ in pairs]))
-    correlations = [correlation for _, correlation in pairs if np.isfinite(correlation)]
-    correlated = not correlations or float(np.median(correlations)) > _CORRELATED
     if _stands_still(frames):
         same = say("all_camera_poses_same", count=len(frames))
         return same if seen_alike < _SEEN_ALIKE_STILL else None
-    if seen_alike > (_SEEN_ALIKE if correlated else _SEEN_ALIKE_DIM):
+    if seen_alike > (_SEEN_ALIKE if _is_correlated(pairs) else _SEEN_ALIKE_DIM):
         return None
     return say("camera_poses_contradict_depth_images", share=1 - seen_alike)
+
+
+def _compare_neighbours(glimpses: Sequence[_Glimpse]) -> list[tuple[float, float]]:
+    """Compare each frame with its neighbours: what `_compare` says of the pairs that share enough."""
+    neighbours = [(first, first + step) for first in range(len(glimpses)) for step in _STEPS]
+    inside = [(first, second) for first, second in neighbours if 0 <= second < len(glimpses)]
+    return [pair for first, second in inside if (pair := _compare(glimpses[first], glimpses[second]))]
+
+
+def _is_correlated(pairs: Sequence[tuple[float, float]]) -> bool:
+    """Return whether the brightness of neighbours correlates; True where none of them tells."""
+    known = [correlation for _, correlation in pairs if np.isfinite(correlation)]
+    return not known or float(np.median(known)) > _CORRELATED
 
 
 def _jump(frames: Sequence[Frame], glimpses: Sequence[_Glimpse]) -> float:

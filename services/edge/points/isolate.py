@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,6 +59,15 @@ _SAMPLED = 100_000
 _ASK = say("if_belongs_to_thing_reconstruct")
 
 
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """A mask (N,) of the object's points, the plane that was removed below it, and a warning, "" without one."""
+
+    thing: Bools
+    plane: Plane | None
+    warning: str = ""
+
+
 def isolate_object(
     points: Points,
     *,
@@ -79,42 +88,32 @@ def isolate_object(
     origin = np.median(points.xyz, axis=0)
     xyz = points.xyz - origin
     middle = aim - origin if aim is not None else None
-    everything = np.ones(len(xyz), bool)
     if turntable and points.up is not None:
-        plane = _turntable_plate(xyz, points.up)
+        near, plane = np.ones(len(xyz), bool), _turntable_plate(xyz, points.up)
     else:
         eyes = None if cameras is None else cameras - origin
-        everything = _near_mask(xyz, middle, eyes)
-        plane = _supporting_plane(xyz[everything], points.up, eyes)
+        near = _near_mask(xyz, middle, eyes)
+        plane = _supporting_plane(xyz[near], points.up, eyes)
     tick(0.93)
-    removed = plane
     if plane is None:
-        thing = _object_mask(xyz, everything, middle)
-        warning = "" if turntable else say("no_table_floor_found_below")
+        cut = _Cut(_object_mask(xyz, near, middle), None, "" if turntable else say("no_table_floor_found_below"))
     else:
-        half = _half_slab(plane)
-        ground = Ground.about(plane, xyz[everything], half, _BEND_SLABS * half)
-        above = everything & (ground.height(xyz) > half)
-        thing, warning = _object_mask(xyz, above, middle), ""
-        if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
-            thing, removed = _object_mask(xyz, everything, middle), None
-            warning = say("thing_too_flat_to_separate")
+        cut = _cut_off(plane, xyz, near, middle)
     tick(1.0)
-    if thing.sum() < _MIN_POINTS:
+    if cut.thing.sum() < _MIN_POINTS:
         raise CaptureError(
             "CAPTURE_NOTHING_LEFT",
             say("no_connected_part_points", count=len(xyz), least=_MIN_POINTS),
             hints=(say("reconstruct_without_isolating_thing"), say("keep_thing_in_middle_picture")),
         )
-    warnings = (*points.warnings, warning) if warning else points.warnings
     up, up_source = points.up, points.up_source
     if plane is not None and up is not None:
         up, up_source = level_with(plane.normal, up, up_source)
-    doubt, share = _doubt(xyz, thing, everything, removed)
-    warnings = (*warnings, in_row(" ", (doubt, _ASK))) if doubt else warnings
+    doubt, share = _doubt(xyz, cut, near)
+    asked = in_row(" ", (doubt, _ASK)) if doubt else ""
     return replace(
-        points.subset(thing),
-        warnings=warnings,
+        points.subset(cut.thing),
+        warnings=(*points.warnings, *filter(None, (cut.warning, asked))),
         up=up,
         up_source=up_source,
         cut=CutReport("object", say("cut_out_surroundings"), doubt, round(share, 3)),
@@ -122,10 +121,21 @@ def isolate_object(
     )
 
 
-def _doubt(xyz: Floats, thing: Bools, near: Bools, plane: Plane | None) -> tuple[str, float]:
-    """Find what the cut may have removed of the object itself, among what is near, with a plane or without one."""
-    half = 0.0 if plane is None else _half_slab(plane)
-    return largest_doubt(xyz, thing, near, plane, half, _TOUCH_LINKS * _LINK_SPACINGS * _spacing(xyz[thing]))
+def _cut_off(plane: Plane, xyz: Floats, near: Bools, middle: Floats | None) -> _Cut:
+    """Cut the object off the plane that it stands on; of one that is too flat for that, the plane stays a part."""
+    half = _half_slab(plane)
+    ground = Ground.about(plane, xyz[near], half, _BEND_SLABS * half)
+    thing = _object_mask(xyz, near & (ground.height(xyz) > half), middle)
+    if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
+        return _Cut(_object_mask(xyz, near, middle), None, say("thing_too_flat_to_separate"))
+    return _Cut(thing, plane)
+
+
+def _doubt(xyz: Floats, cut: _Cut, near: Bools) -> tuple[str, float]:
+    """Find what the cut may have removed of the object itself, among what is near."""
+    half = 0.0 if cut.plane is None else _half_slab(cut.plane)
+    reach = _TOUCH_LINKS * _LINK_SPACINGS * _spacing(xyz[cut.thing])
+    return largest_doubt(xyz, cut.thing, near, cut.plane, half, reach)
 
 
 def _sample(points: Points) -> Cloud:

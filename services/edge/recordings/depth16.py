@@ -34,6 +34,9 @@ _UP_Y = np.array([0.0, 1.0, 0.0])
 _SUFFIX = "_depth16.bin"
 _SHAPES = ((4, 3), (16, 9), (1, 1), (3, 2))  # aspect ratios of sensors, width : height, tried in this order
 
+_Posed = tuple[str, Mapping[str, str]]
+"""Name of a depth file, and its row of poses.csv."""
+
 
 def matches(folder: Folder) -> bool:
     """Return whether the folder is a DEPTH16 recording."""
@@ -49,21 +52,21 @@ def read(folder: Folder) -> Capture:
     posed = [(name, rows[_frame_number(name)]) for name in depths if _frame_number(name) in rows]
     if not posed:
         raise no_poses(POSES, f"a row for {depths[0]}")
-    tracked = [(name, row) for name, row in posed if not _is_untracked(row)] or posed
-    lost = len(posed) - len(tracked)
-    warnings = [
-        *missing_warning(
-            [name for name in depths if _frame_number(name) not in rows], say("word_poses_of_depth_images")
-        )
-    ]
-    warnings += [say("frames_recorded_before_tracking_began", lost=lost)] if lost else []
-    aligned = not _is_untracked(tracked[0][1])
-    if not aligned:
-        tracked = tracked[:1]  # before tracking all poses are the same, so only one frame can be used
-        warnings.append(say("tracking_never_began"))
+    unposed = [name for name in depths if _frame_number(name) not in rows]
+    tracked, warnings = _tracked(posed)
     records = [_record(folder, name, row) for name, row in tracked]
-    up = _UP_Y if aligned else None
+    up = None if _is_untracked(tracked[0][1]) else _UP_Y
+    warnings = [*missing_warning(unposed, say("word_poses_of_depth_images")), *warnings]
     return rgbd_capture("depth16", records, axes="opengl", up=up, file=POSES, warnings=warnings)
+
+
+def _tracked(posed: list[_Posed]) -> tuple[list[_Posed], list[str]]:
+    """Return the frames that were recorded while the phone was tracked, and a warning that there are others."""
+    tracked = [(name, row) for name, row in posed if not _is_untracked(row)]
+    if not tracked:
+        return posed[:1], [say("tracking_never_began")]  # all poses are the same, so only one frame can be used
+    lost = len(posed) - len(tracked)
+    return tracked, [say("frames_recorded_before_tracking_began", lost=lost)] if lost else []
 
 
 def _frame_number(name: str) -> str:

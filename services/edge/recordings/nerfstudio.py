@@ -40,6 +40,9 @@ _NEGLIGIBLE_DISTORTION = (
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
 _MODELS = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
+_Named = tuple[dict[str, Any], str]
+"""A frame, and the name of its image."""
+
 
 def matches(folder: Folder) -> bool:
     """Return whether the folder has a transforms.json."""
@@ -52,16 +55,11 @@ def read(folder: Folder) -> Capture:
     Raises CaptureError, naming the file.
     """
     tree = read_json(folder.path(FILE), FILE)
-    frames = tree.get("frames")
-    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise unreadable(FILE, say("has_no_list_objects_under"))
-    if not frames:
-        raise CaptureError("CAPTURE_EMPTY", say("has_empty_list_frames"), file=FILE)
-    named = [(frame, _depth_name(folder, frame)) for frame in frames]
-    if all(name is None for _, name in named):
+    frames = _frames(tree)
+    named = [(frame, name) for frame in frames if (name := _depth_name(folder, frame)) is not None]
+    if not named:
         return _photos(folder, tree, frames)
-    missing = [name for _, name in named if name is not None and not folder.has(name)]
-    present = [(frame, name) for frame, name in named if name is not None and folder.has(name)]
+    present, missing = _split_present(folder, named)
     if not present:
         reason = say("lists_depth_images_but_capture", count=len(missing), name=missing[0])
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_folder_depth_images"),))
@@ -72,11 +70,24 @@ def read(folder: Folder) -> Capture:
     return rgbd_capture("nerfstudio", records, axes="opengl", up=None, file=FILE, warnings=warnings)
 
 
+def _frames(tree: Mapping[str, Any]) -> list[dict[str, Any]]:
+    frames = tree.get("frames")
+    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+        raise unreadable(FILE, say("has_no_list_objects_under"))
+    if not frames:
+        raise CaptureError("CAPTURE_EMPTY", say("has_empty_list_frames"), file=FILE)
+    return frames
+
+
+def _split_present(folder: Folder, named: Sequence[_Named]) -> tuple[list[_Named], list[str]]:
+    """Return the frames whose image is in the capture, and the names of the other frames' images."""
+    present = [(frame, name) for frame, name in named if folder.has(name)]
+    return present, [name for _, name in named if not folder.has(name)]
+
+
 def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]]) -> Capture:
     """Read the images as posed photos. The scale is unknown: it depends on the program that computed the poses."""
-    named = [(tree | frame, _image_name(folder, frame)) for frame in frames]
-    missing = [name for _, name in named if not folder.has(name)]
-    present = [(frame, name) for frame, name in named if folder.has(name)]
+    present, missing = _split_present(folder, [(tree | frame, _image_name(folder, frame)) for frame in frames])
     if not present:
         reason = say("lists_images_but_capture", count=len(missing), name=missing[0])
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_images"),))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -47,6 +48,20 @@ PRIMESENSE = Intrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)  # Open3D's and TU
 _COLOUR_FOLDERS = ("color", "rgb", "image", "colour", "images")
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 _UP_Z = np.array([0.0, 0.0, 1.0])  # TUM's motion capture world; Open3D's logs have no gravity
+
+_Stamped = tuple[float, str]
+"""Seconds, and the name of an image."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Associated:
+    """Names of depth images: those with the index of their pose and the name of their colour image, if any; those that
+    are not in the capture; those without a pose.
+    """
+
+    usable: list[tuple[str, int, str | None]]
+    missing: list[str]
+    unposed: list[str]
 
 
 def matches(folder: Folder) -> bool:
@@ -110,37 +125,51 @@ def _read_tum(folder: Folder, truth: str | None) -> Capture:
         raise CaptureError("CAPTURE_EMPTY", say("has_no_stamped_depth_images"), file="depth.txt")
     stamps, poses = _placeholder_poses(depths) if truth is None else _ground_truth(folder, truth)
     camera, scale = _camera(folder, [name for _, name in depths if folder.has(name)], TUM_STEPS_PER_METRE)
-    colour_stamps = np.array([seconds for seconds, _ in colours])
-    records, missing, unposed = [], [], []
-    for stamp, depth in depths:
-        pose = nearest(stamps, stamp)
-        if not folder.has(depth):
-            missing.append(depth)
-        elif pose is None:
-            unposed.append(depth)
-        else:
-            colour = nearest(colour_stamps, stamp)
-            name = None if colour is None or not folder.has(colours[colour][1]) else colours[colour][1]
-            records.append(frame_of_files(folder, depth, camera, poses[pose], 1 / scale, colour=name))
-    if not records and missing:
-        raise CaptureError("CAPTURE_COUNT_MISMATCH", say("listed_in_depth_txt"), file=missing[0])
-    if not records:
-        raise no_poses(truth or "depth.txt", f"a pose within {MAX_APART_S} s of a depth image")
+    paired = _associate(folder, depths, colours, stamps)
+    if not paired.usable:
+        raise _nothing_usable(paired, truth)
+    records = [
+        frame_of_files(folder, depth, camera, poses[pose], 1 / scale, colour=colour)
+        for depth, pose, colour in paired.usable
+    ]
     warnings = (
-        *missing_warning(missing, say("word_depth_images")),
-        *missing_warning(unposed, say("word_poses_of_depth_images")),
+        *missing_warning(paired.missing, say("word_depth_images")),
+        *missing_warning(paired.unposed, say("word_poses_of_depth_images")),
     )
     up = None if truth is None else _UP_Z
     return rgbd_capture("tum", records, axes="opencv", up=up, file="depth", warnings=warnings)
 
 
-def _placeholder_poses(depths: Sequence[tuple[float, str]]) -> tuple[Floats, list[Floats]]:
+def _associate(folder: Folder, depths: Sequence[_Stamped], colours: Sequence[_Stamped], stamps: Floats) -> _Associated:
+    """Find the pose and the colour image of each depth image; `stamps` (N,) of the poses, in seconds."""
+    paired = _Associated([], [], [])
+    colour_stamps = np.array([seconds for seconds, _ in colours])
+    for stamp, depth in depths:
+        pose = nearest(stamps, stamp)
+        if not folder.has(depth):
+            paired.missing.append(depth)
+        elif pose is None:
+            paired.unposed.append(depth)
+        else:
+            colour = nearest(colour_stamps, stamp)
+            name = None if colour is None else colours[colour][1]
+            paired.usable.append((depth, pose, name if name is not None and folder.has(name) else None))
+    return paired
+
+
+def _nothing_usable(paired: _Associated, truth: str | None) -> CaptureError:
+    if paired.missing:
+        return CaptureError("CAPTURE_COUNT_MISMATCH", say("listed_in_depth_txt"), file=paired.missing[0])
+    return no_poses(truth or "depth.txt", f"a pose within {MAX_APART_S} s of a depth image")
+
+
+def _placeholder_poses(depths: Sequence[_Stamped]) -> tuple[Floats, list[Floats]]:
     """Return placeholder poses, the identity, at the time stamps of the depth images."""
     return np.array([seconds for seconds, _ in depths]), [np.eye(4)] * len(depths)
 
 
-def _stamped_names(folder: Folder, what: str) -> list[tuple[float, str]]:
-    """Return (seconds, name) sorted by time, from `depth.txt` or `rgb.txt`, or else from time stamps in file names."""
+def _stamped_names(folder: Folder, what: str) -> list[_Stamped]:
+    """Return images sorted by time, from `depth.txt` or `rgb.txt`, or else from time stamps in file names."""
     index = f"{what}.txt"
     if folder.has(index):
         rows = [row.split() for row in data_lines(read_text(folder.path(index), index))]

@@ -138,31 +138,58 @@ def _item_extents(data: Buffer, meta: Box) -> dict[int, list[Extent]]:
     if box is None:
         return {}
     store = find(data, meta, b"idat")
-    version = data[box.body]
     reader = _IndexReader(data, box.body + 4)
-    sizes = reader.take(2)
-    offset_size, length_size, base_size, index_size = (sizes >> shift & 15 for shift in (12, 8, 4, 0))
-    count = reader.take(2 if version < 2 else 4)
+    widths = _Widths.read(reader, version=data[box.body])
+    count = reader.take(widths.item)
     if count > _MOST_ITEMS:
         raise UnreadableError(say("heif_file_has_too_many_items", count=count))
-    found: dict[int, list[Extent]] = {}
-    for _ in range(count):
-        item = reader.take(2 if version < 2 else 4)
-        method = reader.take(2) & 15 if version else 0
-        reader.take(2)  # data reference index: always this file
-        base = reader.take(base_size)
-        if method == 1 and store is not None:
-            base += store.body
-        extents: list[Extent] = []
-        for _ in range(reader.take(2)):
-            if len(extents) > _MOST_EXTENTS:
-                raise UnreadableError(say("item_heif_file", item=item, most=_MOST_EXTENTS))
-            reader.take(index_size if version else 0)
-            start = base + reader.take(offset_size)
-            end = start + reader.take(length_size)
-            if method < 2 and end > len(data):
-                raise UnreadableError(say("heif_file_cut_short_item", item=item, end=end))
-            extents.append((start, end))
-        if method < 2:  # 2: the extents are parts of other items
-            found[item] = extents
-    return found
+    items = (_read_item(reader, widths, 0 if store is None else store.body) for _ in range(count))
+    return {item.number: item.extents for item in items if item.is_in_file}
+
+
+@dataclass(frozen=True, slots=True)
+class _Widths:
+    """Bytes that each number of an item location box takes, 0 where the box has none; item: numbers of items too."""
+
+    item: int
+    method: int
+    offset: int
+    length: int
+    base: int
+    index: int
+
+    @classmethod
+    def read(cls, reader: _IndexReader, version: int) -> _Widths:
+        sizes = reader.take(2)
+        offset, length, base, index = (sizes >> shift & 15 for shift in (12, 8, 4, 0))
+        return cls(2 if version < 2 else 4, 2 if version else 0, offset, length, base, index if version else 0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Item:
+    """Where an item lies, and by which method: in the file (0), in the index's own data (1), or within other items."""
+
+    number: int
+    method: int
+    extents: list[Extent]
+
+    @property
+    def is_in_file(self) -> bool:
+        return self.method < 2
+
+
+def _read_item(reader: _IndexReader, widths: _Widths, store: int) -> _Item:
+    """Read an item's place; store: where the index's own data begin. Raises UnreadableError outside the file."""
+    item = _Item(reader.take(widths.item), reader.take(widths.method) & 15, [])
+    reader.take(2)  # data reference index: always this file
+    base = reader.take(widths.base) + (store if item.method == 1 else 0)
+    for _ in range(reader.take(2)):
+        if len(item.extents) > _MOST_EXTENTS:
+            raise UnreadableError(say("item_heif_file", item=item.number, most=_MOST_EXTENTS))
+        reader.take(widths.index)
+        start = base + reader.take(widths.offset)
+        end = start + reader.take(widths.length)
+        if item.is_in_file and end > len(reader.data):
+            raise UnreadableError(say("heif_file_cut_short_item", item=item.number, end=end))
+        item.extents.append((start, end))
+    return item

@@ -69,16 +69,16 @@ def validate(folder: Path, names: Iterable[str], begin: Callable[[str], None]) -
         detail = say("file_empty") if only else say("all_files_upload_empty")
         raise Refused("CAPTURE_EMPTY", detail, only, (say("choose_other_files"),))
     if not any(verdict.verdict == "ok" for verdict in verdicts):
-        if raw := next((verdict for verdict in verdicts if is_raw_photo(verdict.file)), None):
-            hints = (say("send_same_photos_as_jpeg"),)
-            raise Refused("CAPTURE_UNKNOWN_FORMAT", _LEFT_OUT[Kind.RAW], raw.file, hints)
-        raise Refused(
-            "CAPTURE_UNKNOWN_FORMAT",
-            say("no_file_upload_photo_video"),
-            verdicts[0].file,
-            (say("send_photos_video_ply_pcd"),),
-        )
+        raise _nothing_usable(verdicts)
     return verdicts
+
+
+def _nothing_usable(verdicts: list[FileReport]) -> Refused:
+    if raw := next((verdict for verdict in verdicts if is_raw_photo(verdict.file)), None):
+        hints = (say("send_same_photos_as_jpeg"),)
+        return Refused("CAPTURE_UNKNOWN_FORMAT", _LEFT_OUT[Kind.RAW], raw.file, hints)
+    hints = (say("send_photos_video_ply_pcd"),)
+    return Refused("CAPTURE_UNKNOWN_FORMAT", say("no_file_upload_photo_video"), verdicts[0].file, hints)
 
 
 def _check_file(folder: Path, name: str, begin: Callable[[str], None]) -> FileReport:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.sentences.documents import with_codes
@@ -55,21 +55,39 @@ class PublishedAsset:
 
 
 @dataclass(frozen=True, slots=True)
+class PublishPolicy:
+    """How bundles are published: with which signing keys, across collections or not, and when publishing stops.
+
+    keys                     sign the catalogue entry and the collection's index
+    allow_other_collections  whether an asset of another collection may be listed in a second one
+    proceed                  called before each file, and before the version is added; what it raises is passed on, and
+                             then nothing but files that nobody refers to has been written
+    """
+
+    keys: Keys = NO_KEYS
+    allow_other_collections: bool = True
+    proceed: Callable[[], None] = lambda: None
+
+
+DEFAULT_POLICY = PublishPolicy()
+"""Unsigned; an asset may be listed in several collections; publishing runs to its end."""
+
+
+@dataclass(frozen=True, slots=True)
 class _PublishRequest:
     """The job for which a bundle is published, its fencing token, the collection that will list the asset, the
-    visibility that it gets, and the keys that sign it.
+    visibility that it gets, and the publisher's policy.
     """
 
     job: str
     fence: int
     collection: str
-    allow_other_collections: bool
     visibility: Visibility | None
-    keys: Keys
+    policy: PublishPolicy
 
     def check_not_elsewhere(self, present: Entry | None) -> None:
         """Raises KeyElsewhere where the key is an asset of another collection, unless that is allowed."""
-        if present and not self.allow_other_collections and self.collection not in present.collections:
+        if present and not self.policy.allow_other_collections and self.collection not in present.collections:
             where = say("in_collection", found=present.collections[0], wanted=self.collection)
             raise KeyElsewhere(say("asset_with_key_exists_already_choose", key=present.key, where=where))
 
@@ -103,23 +121,6 @@ class _PublishRequest:
         )
 
 
-class Publish(Protocol):
-    """`publish` with the signing keys bound, and never listing an asset of another collection: for workers."""
-
-    def __call__(
-        self,
-        bundle: Bundle,
-        store: Store,
-        *,
-        key: str,
-        job: str,
-        fence: int,
-        collection: str,
-        visibility: Visibility | None,
-        proceed: Callable[[], None],
-    ) -> PublishedAsset: ...
-
-
 def publish(
     bundle: Bundle,
     store: Store,
@@ -128,23 +129,18 @@ def publish(
     job: str = "",
     fence: int = 0,
     collection: str = DEFAULT_COLLECTION,
-    keys: Keys = NO_KEYS,
-    allow_other_collections: bool = True,
     visibility: Visibility | None = None,
-    proceed: Callable[[], None] = lambda: None,
+    policy: PublishPolicy = DEFAULT_POLICY,
 ) -> PublishedAsset:
-    """Publish a bundle under `key`, make it the current version, and list it in `collection`, signed with `keys`.
+    """Publish a bundle under `key`, make it the current version, and list it in `collection`.
 
     Publishing the same (job, state, last) twice adds no version and returns the first; without a job the content is
     compared instead. A new version of a removed asset restores it.
-    allow_other_collections  whether an asset of another collection may be listed in this one too
-    visibility               the asset's own from this version on; None: the one it has
-    proceed                  called before each file, and before the version is added; what it raises is passed on, and
-                             then nothing but files that nobody refers to has been written
+    visibility  the asset's own from this version on; None: the one it has
     Raises StaleFence where the same job has published with a higher fence, KeyElsewhere, ValueError for an invalid key
     or collection, OSError (CatalogueFault too) where the store fails; after that, publish again.
     """
-    request = _PublishRequest(job, fence, check_collection(collection), allow_other_collections, visibility, keys)
+    request = _PublishRequest(job, fence, check_collection(collection), visibility, policy)
     present = _entry_or_none(store, check_key(key))
     request.check_not_elsewhere(present)
     existing = existing_version(present, bundle, job, fence)
@@ -156,12 +152,12 @@ def publish(
     if existing is not None and existing["fence"] >= fence and is_done:
         asset = _published_asset(key, existing)
     else:
-        files = [_put_file(store, key, bundle, file, proceed) for file in sorted(bundle.files)]
+        files = [_put_file(store, key, bundle, file, policy.proceed) for file in sorted(bundle.files)]
         manifest = _put_manifest(store, key, bundle, files)
-        proceed()
+        policy.proceed()
         asset = _add_version(store, key, bundle, files, manifest, request)
     move_alias(store, asset)
-    update_collections(store, key, keys)
+    update_collections(store, key, policy.keys)
     update_unity_catalogues(store, key)
     return asset
 
@@ -205,8 +201,8 @@ def _add_version(
         document |= request.names_of(present, AssetNames.of(bundle.manifest), key).as_json
         if present and present.notes and record not in versions:
             document["notes"] = notes_of_next_version(store, present, document, bundle)
-        if request.keys.signers:
-            document["proof"] = sign_proof(key, document, request.keys.signers)
+        if signers := request.policy.keys.signers:
+            document["proof"] = sign_proof(key, document, signers)
         put_mutable(store, entry_name(key), canonical_json(document), present.etag if present else None)
         return _published_asset(key, record)
 

@@ -21,7 +21,7 @@ from cryptography import x509
 from capture2vr.cli.deployment import tls_authority
 from capture2vr.cli.deployment.deploy_work import WORKER_NAMES, KeyFolder
 from capture2vr.cli.up import free_port
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.verify import fetch_from, verify
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys
@@ -246,7 +246,7 @@ def test_what_is_published_with_the_signing_key_verifies_with_its_public_key(
     init()
     monkeypatch.setenv("STORAGE_SIGNING_KEY", here(deployment)["STORAGE_SIGNING_KEY"])
     store, signing = MemoryStore(), open_keys(StorageSettings())
-    publish(bundle(), store, key="dress", keys=signing)
+    publish(bundle(), store, key="dress", policy=PublishPolicy(signing))
     monkeypatch.delenv("STORAGE_SIGNING_KEY")
     monkeypatch.setenv("STORAGE_TRUSTED_KEYS", f"{KeyFolder(deployment / 'keys').signing_key}.pub")
     trusted = open_keys(StorageSettings()).verification_keys

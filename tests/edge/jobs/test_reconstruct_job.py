@@ -8,7 +8,6 @@ import time
 import zipfile
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import Publish, PublishedAsset, publish
+from capture2vr.storage.catalogue.publish import DEFAULT_POLICY, PublishedAsset, PublishPolicy, publish
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
@@ -55,9 +54,9 @@ async def client(store: MemoryStore, scratch: Path) -> AsyncIterator[Client]:
         yield client
 
 
-def fitter(store: MemoryStore, publish: Publish = publish) -> FieldFitter:
+def fitter(store: MemoryStore, policy: PublishPolicy = DEFAULT_POLICY) -> FieldFitter:
     """A fitter with the product's presets and memory for all of them, on the CPU."""
-    return FieldFitter(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), publish)
+    return FieldFitter(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), policy)
 
 
 def real_work(store: MemoryStore, presets: Path | None = None, memory_bytes: int = 1 << 40) -> Reconstructor:
@@ -177,8 +176,7 @@ async def test_a_key_of_another_collection_is_refused_by_name(
     """The gateway sees it first, but for two first jobs at once."""
     sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
     publish(Bundle("preview", {"mesh.ply": b"hers"}, {"lods": []}), store, key="shoe", collection="ada")
-    alone = partial(publish, allow_other_collections=False)
-    work = Reconstructor(fitter(store, publish=alone))
+    work = Reconstructor(fitter(store, PublishPolicy(allow_other_collections=False)))
     async with worker(work, scratch) as client:
         failed = (await client.ended(sent, asset_key="shoe", preset="draft", collection="bob"))[-1].failure
     assert (failed.code, failed.retryable) == ("KEY_ELSEWHERE", False)
@@ -203,7 +201,8 @@ async def test_a_job_computes_in_a_stream_of_its_own(
         return publish(*asset, **where)
 
     monkeypatch.setattr("capture2vr.edge.jobs.reconstruct_job.own_stream", stream)
-    work = Reconstructor(fitter(store, publish=look))
+    monkeypatch.setattr("capture2vr.edge.jobs.fit_job.publish", look)
+    work = Reconstructor(fitter(store))
     async with worker(work, scratch) as client:
         await client.ended(archive(tmp_path, dome_ply=hemisphere_ply(200)), asset_key="dome", preset="draft")
     assert set(seen) == {("of cpu",)}

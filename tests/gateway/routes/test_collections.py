@@ -15,7 +15,7 @@ from capture2vr.gateway.app import create_app
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.catalogue.collection import RETIRED_SHARDS, index_name, read_index
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import Keys, check_signatures, public_key
 from capture2vr.storage.catalogue.verify import verify
 from capture2vr.storage.local import LocalStore
@@ -26,6 +26,7 @@ from tests.support.bundles import Crash, CrashingStore, bundle, listed
 from tests.support.in_process_gateway import answering
 
 SIGNED = Keys(signers=(ONE,))
+SIGNING = PublishPolicy(SIGNED)
 INDEX = index_name("default")
 
 
@@ -43,7 +44,7 @@ def store() -> MemoryStore:
         ("shoe", "Straßenschuh", ["footwear"]),
         ("sofa", "", ["furniture"]),
     ):
-        publish(bundle(label=label, labels=labels), store, key=key, keys=SIGNED)
+        publish(bundle(label=label, labels=labels), store, key=key, policy=SIGNING)
     return store
 
 
@@ -61,7 +62,7 @@ async def test_the_index_is_what_the_store_has(gateway: httpx.AsyncClient, store
     assert read_index(answer.content, "default", SIGNED.verification_keys).version == 3
     again = await gateway.get("/v1/collections/default", headers={"If-None-Match": answer.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
-    publish(bundle(), store, key="new", keys=SIGNED)
+    publish(bundle(), store, key="new", policy=SIGNING)
     changed = await gateway.get("/v1/collections/default", headers={"If-None-Match": answer.headers["etag"]})
     assert changed.status_code == 200
 
@@ -69,7 +70,7 @@ async def test_the_index_is_what_the_store_has(gateway: httpx.AsyncClient, store
 async def test_everything_can_be_checked_from_the_index_on(tmp_path: Path) -> None:
     """As a client would: the keys from /v1/keys, the objects below `base`."""
     local = LocalStore(tmp_path / "objects")
-    publish(bundle(), local, key="dress", keys=SIGNED)
+    publish(bundle(), local, key="dress", policy=SIGNING)
     async with client(tmp_path, local) as gateway:
         (key,) = (await gateway.get("/v1/keys")).json()["keys"]
         believed = public_key(base64.b64decode(key["ed25519"]))
@@ -140,7 +141,7 @@ async def test_a_shard_that_is_retired_meanwhile_is_looked_up_anew(tmp_path: Pat
             if "shard" in name and self.waits:
                 self.waits = False
                 for number in range(RETIRED_SHARDS + 1):
-                    publish(bundle(content=f"{number}"), store, key="new", keys=SIGNED)
+                    publish(bundle(content=f"{number}"), store, key="new", policy=SIGNING)
             return super().get(name, start=start, length=length)
 
     async with client(tmp_path, Slow(store, -1, after=False)) as gateway:
@@ -176,7 +177,7 @@ async def test_removed_is_gone_everywhere_and_restored_is_back(gateway: httpx.As
 
 async def test_a_new_version_brings_it_back(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
     await gateway.post("/v1/assets/shoe/remove")
-    publish(bundle(content="new"), store, key="shoe", keys=SIGNED)
+    publish(bundle(content="new"), store, key="shoe", policy=SIGNING)
     assert (await gateway.get("/v1/assets/shoe")).json()["version"] == 2
     assert "shoe" in await found(gateway)
 
@@ -241,7 +242,7 @@ async def test_a_store_that_dies_in_mid_publish_leaves_the_last_version(
     for at in (1, 5, 8, 9):
         dying = CrashingStore(store, at, after=False)
         with pytest.raises(Crash):
-            publish(bundle(content=f"{at}"), dying, key="shoe", job=f"j{at}", keys=SIGNED)
+            publish(bundle(content=f"{at}"), dying, key="shoe", job=f"j{at}", policy=SIGNING)
         assert (await gateway.get("/v1/collections/default")).content == before
         assert await found(gateway) == ["boot", "shoe", "sofa"]
         assert (await gateway.get("/v1/assets/shoe")).status_code == 200

@@ -44,7 +44,7 @@ from capture2vr.storage.catalogue.faults import (
     SIGNING_KEY_MISSING,
     CatalogueFault,
 )
-from capture2vr.storage.catalogue.publish import KeyElsewhere, PublishedAsset, publish
+from capture2vr.storage.catalogue.publish import KeyElsewhere, PublishedAsset, PublishPolicy, publish
 from capture2vr.storage.catalogue.removal import remove, restore
 from capture2vr.storage.catalogue.shards import full_shards, write_shards
 from capture2vr.storage.catalogue.signing import Keys
@@ -59,6 +59,7 @@ from tests.storage.conftest import s3_store
 from tests.support.bundles import Crash, CrashingStore, bundle, listed
 
 SIGNED = Keys(signers=(ONE,))
+SIGNING = PublishPolicy(SIGNED)
 INDEX = index_name("default")
 
 rows = st.builds(
@@ -86,7 +87,7 @@ def fault_of(call: Callable[[], object]) -> str:
 
 
 def test_a_published_asset_is_listed_with_what_finds_the_rest(store: Store) -> None:
-    publish(bundle(labels=["shoe", "Größe 42"]), store, key="dress", keys=SIGNED)
+    publish(bundle(labels=["shoe", "Größe 42"]), store, key="dress", policy=SIGNING)
     row = listed(store, believed=SIGNED.verification_keys)["dress"]
     present = read_entry(store, "dress")
     assert row == row_of(present)
@@ -95,8 +96,8 @@ def test_a_published_asset_is_listed_with_what_finds_the_rest(store: Store) -> N
     assert row.preview_name == present.document["preview"]["name"]
     assert json.loads(store.get(row.manifest_name))["files"][0]["bytes"] > 0
     assert index_of(store).version == 1
-    publish(bundle("refined"), store, key="dress", keys=SIGNED)
-    publish(bundle(), store, key="chair", keys=SIGNED)
+    publish(bundle("refined"), store, key="dress", policy=SIGNING)
+    publish(bundle(), store, key="chair", policy=SIGNING)
     assert [(row.key, row.version, row.state) for row in listed(store).values()] == [
         ("chair", 1, "preview"),
         ("dress", 2, "refined"),
@@ -141,28 +142,28 @@ def test_shards_split_and_stay_in_order(keys: list[str]) -> None:
 
 
 def test_repeating_writes_nothing(store: Store) -> None:
-    publish(bundle(), store, key="dress", job="job_1", keys=SIGNED)
+    publish(bundle(), store, key="dress", job="job_1", policy=SIGNING)
     before = {head.name: head.etag for head in list_all(store, "")}
-    publish(bundle(), store, key="dress", job="job_1", keys=SIGNED)
+    publish(bundle(), store, key="dress", job="job_1", policy=SIGNING)
     assert {head.name: head.etag for head in list_all(store, "")} == before
 
 
 @pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
 def test_a_run_completes_what_another_left_out_of_the_collection(after: bool) -> None:
     store = MemoryStore()
-    publish(bundle(content="old"), store, key="dress", job="job_1", keys=SIGNED)
+    publish(bundle(content="old"), store, key="dress", job="job_1", policy=SIGNING)
     with pytest.raises(Crash, match="shard"):
-        publish(bundle(content="new"), CrashingStore(store, 8, after=after), key="dress", job="job_2", keys=SIGNED)
+        publish(bundle(content="new"), CrashingStore(store, 8, after=after), key="dress", job="job_2", policy=SIGNING)
     assert (read_entry(store, "dress").version, listed(store)["dress"].version) == (2, 1)
-    publish(bundle(content="new"), store, key="dress", job="job_2", keys=SIGNED)
+    publish(bundle(content="new"), store, key="dress", job="job_2", policy=SIGNING)
     assert listed(store, believed=SIGNED.verification_keys)["dress"] == row_of(read_entry(store, "dress"))
 
 
 def test_a_collection_per_user_and_an_asset_in_two() -> None:
     store = MemoryStore()
-    publish(bundle(), store, key="a", collection="ada", keys=SIGNED)
-    publish(bundle(), store, key="b", collection="bob", keys=SIGNED)
-    publish(bundle(content="2"), store, key="a", collection="bob", keys=SIGNED)
+    publish(bundle(), store, key="a", collection="ada", policy=SIGNING)
+    publish(bundle(), store, key="b", collection="bob", policy=SIGNING)
+    publish(bundle(content="2"), store, key="a", collection="bob", policy=SIGNING)
     assert (list(listed(store, "ada")), list(listed(store, "bob"))) == (["a"], ["a", "b"])
     assert listed(store, "ada")["a"].version == 2  # a new version is seen wherever the asset is
     remove(store, "a", SIGNED)
@@ -183,20 +184,11 @@ def test_who_publishes_for_others_does_not_take_their_keys() -> None:
             return super().put(name, *args, **options)
 
     entries: list[PublishedAsset] = []
+    alone, late = PublishPolicy(allow_other_collections=False), Late(store, -1, after=False)
     with pytest.raises(KeyElsewhere, match="in collection ada, not in bob"):
-        publish(
-            bundle(content="his"),
-            Late(store, -1, after=False),
-            key="a",
-            job="job_2",
-            collection="bob",
-            allow_other_collections=False,
-        )
+        publish(bundle(content="his"), late, key="a", job="job_2", collection="bob", policy=alone)
     assert (read_entry(store, "a").version, read_entry(store, "a").collections) == (1, ["ada"])
-    assert (
-        publish(bundle("refined"), store, key="a", job="job_1", collection="ada", allow_other_collections=False).version
-        == 2
-    )
+    assert publish(bundle("refined"), store, key="a", job="job_1", collection="ada", policy=alone).version == 2
     with pytest.raises(FileNotFoundError):
         listed(store, "bob")
 
@@ -209,7 +201,7 @@ def test_the_same_content_enters_another_collection_without_a_version() -> None:
 
 
 def test_removed_then_restored(store: Store) -> None:
-    publish(bundle(), store, key="dress", job="job_1", keys=SIGNED)
+    publish(bundle(), store, key="dress", job="job_1", policy=SIGNING)
     files = {head.name for head in list_all(store, "assets/")}
     for _ in range(2):
         assert remove(store, "dress", SIGNED).removed
@@ -218,7 +210,7 @@ def test_removed_then_restored(store: Store) -> None:
     remove(CrashingStore(store, 1, after=False), "dress", SIGNED)  # nothing is left to write
     assert {head.name for head in list_all(store, "assets/")} == files
     # A repetition of the job that made it does not bring it back; that would undo what a person did.
-    publish(bundle(), store, key="dress", job="job_1", keys=SIGNED)
+    publish(bundle(), store, key="dress", job="job_1", policy=SIGNING)
     assert read_entry(store, "dress").removed
     assert not restore(store, "dress", SIGNED).removed
     assert (listed(store)["dress"].state, listed(store)["dress"].version) == ("preview", 1)
@@ -259,9 +251,9 @@ def test_impossible_names_are_refused_before_anything_is_written(name: str) -> N
 
 def test_a_forged_an_older_and_a_broken_index_have_names() -> None:
     store = MemoryStore()
-    publish(bundle(), store, key="a", keys=SIGNED)
+    publish(bundle(), store, key="a", policy=SIGNING)
     first = store.get(INDEX)
-    publish(bundle(), store, key="b", keys=SIGNED)
+    publish(bundle(), store, key="b", policy=SIGNING)
     data = store.get(INDEX)
     envelope = json.loads(data)
     forged = envelope["signed"].replace('"version":2', '"version":9')
@@ -294,9 +286,9 @@ def test_nothing_but_a_fault_comes_of_any_envelope(text: str, signatures: list[d
 @pytest.mark.parametrize("keys", [Keys(), Keys(trusted=(ONE.public,))], ids=["none", "only-trusted"])
 def test_who_cannot_sign_does_not_touch_what_is_signed(keys: Keys) -> None:
     store = MemoryStore()
-    publish(bundle(), store, key="a", keys=SIGNED)
+    publish(bundle(), store, key="a", policy=SIGNING)
     before = store.get(INDEX)
-    assert fault_of(lambda: publish(bundle(), store, key="b", keys=keys)) == SIGNING_KEY_MISSING
+    assert fault_of(lambda: publish(bundle(), store, key="b", policy=PublishPolicy(keys))) == SIGNING_KEY_MISSING
     assert store.get(INDEX) == before
 
 
@@ -313,10 +305,10 @@ def test_who_cannot_sign_does_not_touch_what_is_signed(keys: Keys) -> None:
 def test_a_damaged_index_is_not_built_upon_until_somebody_says_so(damage: Callable[[bytes], bytes], code: str) -> None:
     """Signing what a stranger has put there would make it ours."""
     store = MemoryStore()
-    publish(bundle(), store, key="a", keys=SIGNED)
+    publish(bundle(), store, key="a", policy=SIGNING)
     store.put(INDEX, damage(store.get(INDEX)), content_type="application/json")
     damaged = store.get(INDEX)
-    assert fault_of(lambda: publish(bundle(), store, key="b", keys=SIGNED)) == code
+    assert fault_of(lambda: publish(bundle(), store, key="b", policy=SIGNING)) == code
     assert store.get(INDEX) == damaged
     assert read_entry(store, "b").version == 1  # by its key it is there
     rebuild(store, "default", SIGNED)
@@ -326,31 +318,31 @@ def test_a_damaged_index_is_not_built_upon_until_somebody_says_so(damage: Callab
 @pytest.mark.parametrize(("put", "code"), [(b"{}", SHARD_CHANGED), (None, SHARD_MISSING)])
 def test_a_damaged_shard_is_not_built_upon(put: bytes | None, code: str) -> None:
     store = MemoryStore()
-    publish(bundle(), store, key="a", keys=SIGNED)
+    publish(bundle(), store, key="a", policy=SIGNING)
     (shard,) = index_of(store).shards
     if put is None:
         store.delete(shard.name)
     else:
         store.put(shard.name, put, content_type="application/json")
     before = store.get(INDEX)
-    assert fault_of(lambda: publish(bundle(), store, key="b", keys=SIGNED)) == code
+    assert fault_of(lambda: publish(bundle(), store, key="b", policy=SIGNING)) == code
     assert store.get(INDEX) == before
     assert rebuild(store, "default", SIGNED).version > 1_700_000_000  # beyond whatever was counted before
-    publish(bundle(content="2"), store, key="b", keys=SIGNED)
+    publish(bundle(content="2"), store, key="b", policy=SIGNING)
     assert listed(store, believed=SIGNED.verification_keys)["b"].version == 2
 
 
 def test_keys_are_exchanged_without_a_moment_in_which_a_client_refuses() -> None:
     store = MemoryStore()
-    publish(bundle(), store, key="a", keys=SIGNED)
+    publish(bundle(), store, key="a", policy=SIGNING)
     both = Keys(signers=(TWO, ONE))
-    publish(bundle(), store, key="b", keys=both)
+    publish(bundle(), store, key="b", policy=PublishPolicy(both))
     for believed in ((ONE.public,), (TWO.public,)):
         read_index(store.get(INDEX), "default", believed)
     new = Keys(signers=(TWO,), trusted=(ONE.public,))
     rebuild(store, "default", new)
     assert [each["key"] for each in parse_envelope(store.get(INDEX), "default")[1]] == [TWO.public.id]
-    publish(bundle(), store, key="c", keys=Keys(signers=(TWO,)))
+    publish(bundle(), store, key="c", policy=PublishPolicy(Keys(signers=(TWO,))))
     assert list(listed(store, believed=(TWO.public,))) == ["a", "b", "c"]
 
 
@@ -380,7 +372,7 @@ def test_retired_shards_stay_a_while_and_go() -> None:
     store = MemoryStore()
     seen: list[str] = []
     for number in range(RETIRED_SHARDS + 5):
-        publish(bundle(content=str(number)), store, key="a", keys=SIGNED)
+        publish(bundle(content=str(number)), store, key="a", policy=SIGNING)
         seen += [shard.name for shard in index_of(store).shards]
     there = [head.name for head in list_all(store, "collections/default/shard.")]
     assert sorted(there) == sorted(seen[-RETIRED_SHARDS - 1 :])
@@ -389,13 +381,13 @@ def test_retired_shards_stay_a_while_and_go() -> None:
 
 def test_rivals_lose_nothing_and_leave_nothing(store: Store) -> None:
     """Publishers of other keys, of the same key, and one who removes, all at once."""
-    publish(bundle(), store, key="gone", keys=SIGNED)
+    publish(bundle(), store, key="gone", policy=SIGNING)
 
     def one(number: int) -> None:
         if number == 5:
             remove(store, "gone", SIGNED)
         else:
-            publish(bundle(content=str(number)), store, key=f"k{number % 8}", job=f"job_{number}", keys=SIGNED)
+            publish(bundle(content=str(number)), store, key=f"k{number % 8}", job=f"job_{number}", policy=SIGNING)
 
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(one, range(12)))
@@ -502,7 +494,7 @@ def test_who_read_a_stale_tag_takes_nothing_from_a_rival() -> None:
 
 def _publish_keys(store: Store, process: int) -> None:
     for number in range(3):
-        publish(bundle(content="x"), store, key=f"k{process}{number}", keys=SIGNED)
+        publish(bundle(content="x"), store, key=f"k{process}{number}", policy=SIGNING)
 
 
 def _publish_local(root: Path, process: int) -> None:
@@ -530,7 +522,7 @@ def test_rival_processes_share_a_collection_on_s3(s3_server: S3Server) -> None:
 def test_ten_thousand_assets_fit_a_client_and_an_update(tmp_path: Path) -> None:
     """At most 1.5 MB for everything, and a second for an update: here 1.43 MB, and some 0.05 s on two busy cores."""
     store = LocalStore(tmp_path)
-    publish(bundle(), store, key="thing-00000", keys=SIGNED)
+    publish(bundle(), store, key="thing-00000", policy=SIGNING)
     kinds = ("Chair", "Dress", "Sofa", "Table lamp", "Running shoe")
     first = replace(listed(store)["thing-00000"], preview="1b" * 32)
     many = [
@@ -545,7 +537,7 @@ def test_ten_thousand_assets_fit_a_client_and_an_update(tmp_path: Path) -> None:
     assert len(store.get(INDEX)) + sum(shard.bytes for shard in index.shards) < 1_500_000
 
     start = time.process_time()
-    publish(bundle(), store, key="thing-05000-new", keys=SIGNED)
+    publish(bundle(), store, key="thing-05000-new", policy=SIGNING)
     assert time.process_time() - start < 1.0
     after = index_of(store)
     assert sum(shard.count for shard in after.shards) == 10_001

@@ -6,7 +6,7 @@ import pytest
 
 from capture2vr.storage.catalogue.collection import index_name, read_index
 from capture2vr.storage.catalogue.deletion import delete_asset, delete_everything
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.catalogue.verify import verify
 from capture2vr.storage.memory import MemoryStore
@@ -16,6 +16,7 @@ from tests.storage.catalogue.test_signing import ONE
 from tests.support.bundles import Crash, bundle, listed
 
 SIGNED = Keys(signers=(ONE,))
+SIGNING = PublishPolicy(SIGNED)
 
 
 class DyingStore:
@@ -42,9 +43,9 @@ class DyingStore:
 def two_assets() -> MemoryStore:
     store = MemoryStore()
     for content in ("first", "second"):
-        publish(bundle(content=content, label="Secret gown"), store, key="gown", keys=SIGNED)
-    publish(bundle(content="third", label="Secret gown"), store, key="gown", collection="other", keys=SIGNED)
-    publish(bundle(content="shoe", label="Shoe"), store, key="shoe", keys=SIGNED)
+        publish(bundle(content=content, label="Secret gown"), store, key="gown", policy=SIGNING)
+    publish(bundle(content="third", label="Secret gown"), store, key="gown", collection="other", policy=SIGNING)
+    publish(bundle(content="shoe", label="Shoe"), store, key="shoe", policy=SIGNING)
     return store
 
 
@@ -95,7 +96,7 @@ def test_after_a_crash_at_any_change_deleting_again_completes_it() -> None:
 def test_a_key_can_be_used_again() -> None:
     store = two_assets()
     delete_asset(store, "gown", SIGNED)
-    assert publish(bundle(content="new"), store, key="gown", keys=SIGNED).version == 1
+    assert publish(bundle(content="new"), store, key="gown", policy=SIGNING).version == 1
     assert sorted(listed(store, believed=SIGNED.verification_keys)) == ["gown", "shoe"]
 
 
@@ -119,7 +120,7 @@ def test_everything_of_one_tenant(crash_at: int | None) -> None:
     whole = MemoryStore()
     ada, bob = (store_of_tenant(whole, tenant) for tenant in ("ada", "bob"))
     for store in (whole, ada, bob):
-        publish(bundle(label="Secret gown"), store, key="gown", keys=SIGNED)
+        publish(bundle(label="Secret gown"), store, key="gown", policy=SIGNING)
         store.put("captures/cap_1.zip", b"room", content_type="application/zip")
     before = {name: [head.name for head in list_all(each, "")] for name, each in (("whole", whole), ("bob", bob))}
     if crash_at:
@@ -139,7 +140,7 @@ def test_everything_of_one_tenant(crash_at: int | None) -> None:
 
 def test_everything_goes_where_the_catalogue_is_damaged() -> None:
     store = MemoryStore()
-    publish(bundle(), store, key="gown", keys=SIGNED)
+    publish(bundle(), store, key="gown", policy=SIGNING)
     for name in ("catalog/gown.json", index_name("default")):
         store.put(name, b"{", content_type="application/json")
     delete_everything(store, SIGNED)

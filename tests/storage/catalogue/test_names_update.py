@@ -7,7 +7,7 @@ import pytest
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.names_update import change_names
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import Keys
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.unity.json_reader import read_json_catalogue
@@ -17,13 +17,14 @@ from tests.storage.catalogue.test_signing import ONE
 from tests.support.bundles import bundle, listed
 
 SIGNED = Keys(signers=(ONE,))
+SIGNING = PublishPolicy(SIGNED)
 SUMMER = ("summer", "Größe 42")
 
 
 @pytest.fixture
 def store() -> MemoryStore:
     store = MemoryStore()
-    publish(bundle(label="Dress", labels=["cotton"]), store, key="dress", job="one", keys=SIGNED)
+    publish(bundle(label="Dress", labels=["cotton"]), store, key="dress", job="one", policy=SIGNING)
     return store
 
 
@@ -55,20 +56,21 @@ def test_the_same_names_write_nothing(store: MemoryStore) -> None:
 
 def test_what_a_person_changed_survives_the_rest_of_the_job_and_one_that_names_nothing(store: MemoryStore) -> None:
     names = change_names(store, "dress", SIGNED, label="Sunday dress", labels=SUMMER).names
-    publish(bundle("refined", label="Dress", labels=["cotton"]), store, key="dress", job="one", keys=SIGNED)
+    publish(bundle("refined", label="Dress", labels=["cotton"]), store, key="dress", job="one", policy=SIGNING)
     assert read_entry(store, "dress").names == names
-    publish(bundle("refined", "b", label="dress"), store, key="dress", job="two", keys=SIGNED)  # the key: nobody's name
+    unnamed = bundle("refined", "b", label="dress")  # the key: nobody's name
+    publish(unnamed, store, key="dress", job="two", policy=SIGNING)
     assert read_entry(store, "dress").names == names
 
 
 def test_a_later_job_that_names_it_is_believed(store: MemoryStore) -> None:
     change_names(store, "dress", SIGNED, description="Wool.", labels=SUMMER)
-    publish(bundle("refined", "b", label="Gown"), store, key="dress", job="two", keys=SIGNED)
+    publish(bundle("refined", "b", label="Gown"), store, key="dress", job="two", policy=SIGNING)
     assert read_entry(store, "dress").names == AssetNames("Gown", "Wool.", SUMMER)
 
 
 def test_a_label_that_is_another_assets_address_stays_out_of_unity(store: MemoryStore) -> None:
-    publish(bundle(label="Cup"), store, key="cup", keys=SIGNED)
+    publish(bundle(label="Cup"), store, key="cup", policy=SIGNING)
     change_names(store, "dress", SIGNED, labels=("captures/cup", "blue"))
     assert in_unity(store) == {"dress": ("blue",), "cup": ()}
     assert listed(store)["dress"].labels == ("captures/cup", "blue")

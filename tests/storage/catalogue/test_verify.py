@@ -20,7 +20,7 @@ from capture2vr.storage.catalogue.faults import (
     SHARD_MISSING,
     SIGNATURE_WRONG,
 )
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.removal import remove
 from capture2vr.storage.catalogue.signing import Keys, PublicKey
 from capture2vr.storage.catalogue.verify import CheckResult, fetch_from, verify
@@ -37,7 +37,7 @@ def whole() -> MemoryStore:
     """Two assets, one of them removed, signed by ONE."""
     store = MemoryStore()
     for key in ("chair", "dress"):
-        publish(bundle(content=key), store, key=key, keys=Keys(signers=(ONE,)))
+        publish(bundle(content=key), store, key=key, policy=PublishPolicy(Keys(signers=(ONE,))))
     remove(store, "chair", Keys(signers=(ONE,)))
     return store
 

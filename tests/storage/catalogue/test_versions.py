@@ -10,7 +10,7 @@ from capture2vr.storage.catalogue.entry import alias_name, read_entry
 from capture2vr.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
 from capture2vr.storage.catalogue.names_update import change_names
 from capture2vr.storage.catalogue.proof import check_proof
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.removal import remove
 from capture2vr.storage.catalogue.signing import Keys
 from capture2vr.storage.catalogue.versions import UnknownVersion, read_version, restore_version
@@ -76,7 +76,8 @@ def test_a_removed_asset_is_shown_again(store: MemoryStore) -> None:
 def test_it_is_signed() -> None:
     signed, keys = MemoryStore(), Keys(signers=(ONE,))
     for number in (1, 2):
-        publish(bundle("refined", content=f"content {number}"), signed, key="dress", job=f"job_{number}", keys=keys)
+        made = bundle("refined", content=f"content {number}")
+        publish(made, signed, key="dress", job=f"job_{number}", policy=PublishPolicy(keys))
     entry = restore_version(signed, "dress", 1, keys)
     assert check_proof("dress", entry.document, keys.verification_keys, at_least=3) == 3
 

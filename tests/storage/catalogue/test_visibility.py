@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from capture2vr.storage.catalogue.collection import index_name, read_index
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.removal import remove, restore
 from capture2vr.storage.catalogue.signing import Keys, Signature, check_signatures
 from capture2vr.storage.catalogue.update import rebuild
@@ -26,6 +26,7 @@ from tests.storage.catalogue.test_signing import ONE
 from tests.support.bundles import bundle, listed
 
 SIGNED = Keys(signers=(ONE,))
+SIGNING = PublishPolicy(SIGNED)
 PRIVATE, UNLISTED, PUBLIC = Visibility
 SOME = st.sampled_from([None, *Visibility])
 
@@ -35,7 +36,7 @@ def store() -> MemoryStore:
     """A dress without a visibility of its own, a private letter, an unlisted draft, and a public cup."""
     store = MemoryStore()
     for key, own in {"dress": None, "letter": PRIVATE, "draft": UNLISTED, "cup": PUBLIC}.items():
-        publish(bundle(label=key), store, key=key, keys=SIGNED, visibility=own)
+        publish(bundle(label=key), store, key=key, policy=SIGNING, visibility=own)
     return store
 
 
@@ -62,7 +63,7 @@ def test_an_asset_leaves_a_public_list_and_comes_back(store: MemoryStore) -> Non
         assert set(listed(store)) == in_unity(store) == {"dress"}
         remove(store, "cup", SIGNED)
         restore(store, "cup", SIGNED)
-        publish(bundle(content=own), store, key="cup", keys=SIGNED)
+        publish(bundle(content=own), store, key="cup", policy=SIGNING)
         assert set(listed(store)) == in_unity(store) == {"dress"}, "a new version tells nobody"
         assert rebuild(store, "default", SIGNED).visibility is PUBLIC
         assert set(listed(store)) == {"dress"}
@@ -84,7 +85,7 @@ def test_nothing_leads_from_a_public_list_to_what_it_was_before(store: MemorySto
 def test_nothing_leads_from_a_public_list_to_what_has_left_it(store: MemoryStore) -> None:
     set_collection_visibility(store, "default", PUBLIC, SIGNED)
     for number, own in enumerate((PRIVATE, UNLISTED)):
-        publish(bundle(content=str(number), label="The bedroom"), store, key="room", keys=SIGNED, visibility=PUBLIC)
+        publish(bundle(content=str(number), label="The bedroom"), store, key="room", policy=SIGNING, visibility=PUBLIC)
         set_asset_visibility(store, "room", own, SIGNED)
         assert b"bedroom" not in b"".join(store.get(head.name) for head in list_all(store, "collections/default/shard"))
         assert set(listed(store, believed=SIGNED.verification_keys)) == {"dress", "cup"}
@@ -105,7 +106,7 @@ def test_a_job_decides_once_and_its_owner_ever_after() -> None:
 
 def test_each_version_is_signed_by_itself(store: MemoryStore) -> None:
     for content in ("a", "b"):
-        publish(bundle(content=content), store, key="dress", keys=SIGNED)
+        publish(bundle(content=content), store, key="dress", policy=SIGNING)
         document = read_entry(store, "dress").document
         proof = document["proof"]
         signatures: list[Signature] = proof["signatures"]

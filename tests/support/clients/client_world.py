@@ -25,7 +25,7 @@ from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.removal import remove
 from capture2vr.storage.catalogue.signing import Keys, Signer, public_key
 from capture2vr.storage.local import LocalStore
@@ -42,10 +42,10 @@ def build(root: Path) -> dict[str, Any]:
     signer = Signer(public_key(private.public_key().public_bytes_raw()), private)
     keys = Keys((signer,))
     store = LocalStore(root / "store")
-    publish(_bundle(0.1), store, key="cup", keys=keys)
-    publish(_bundle(0.5, picture=b"\x89PNG one"), store, key="bowl", keys=keys)
+    publish(_bundle(0.1), store, key="cup", policy=PublishPolicy(keys))
+    publish(_bundle(0.5, picture=b"\x89PNG one"), store, key="bowl", policy=PublishPolicy(keys))
     _snapshot(store, root / "v1")
-    publish(_bundle(0.6, picture=b"\x89PNG two"), store, key="bowl", keys=keys)
+    publish(_bundle(0.6, picture=b"\x89PNG two"), store, key="bowl", policy=PublishPolicy(keys))
     _snapshot(store, root / "v2")
     lods = read_entry(store, "bowl").document["lods"]
     remove(store, "bowl", keys)

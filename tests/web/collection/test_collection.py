@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
 from capture2vr.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.removal import remove
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from capture2vr.storage.store import IMMUTABLE, NO_CACHE
@@ -49,7 +49,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
             "zz": box(HOSTILE, BLUE, labels=[HOSTILE, '"><script>alert(2)</script>']),
             "bag": box("Bag", RED, labels=["footwear"]),
         }.items():
-            publish(bundle, site.store, key=key, keys=keys)
+            publish(bundle, site.store, key=key, policy=PublishPolicy(keys))
         remove(site.store, "bag", keys)
         yield site
 
@@ -164,7 +164,7 @@ def test_what_is_older_forged_or_changed_is_refused(
     browser: Browser, context: BrowserContext, page: Page, shelf: Site
 ) -> None:
     before = shelf.store.get(INDEX)
-    publish(box("Sofa", RED, labels=["furniture"]), shelf.store, key="sofa", keys=shelf.keys)
+    publish(box("Sofa", RED, labels=["furniture"]), shelf.store, key="sofa", policy=PublishPolicy(shelf.keys))
     now = shelf.store.get(INDEX)
     visit(page, shelf)
     replaced(shelf, before)
@@ -221,9 +221,10 @@ def page_with_a_past(browser: Browser) -> Iterator[Page]:
 
 def test_after_one_visit_the_page_needs_no_server(page_with_a_past: Page, shelf: Site, tmp_path: Path) -> None:
     page = page_with_a_past
-    publish(box("Lamp", RED, files={"thumbnail.webp": picture_of(RED)}), shelf.store, key="lamp", keys=shelf.keys)
+    lamp, policy = box("Lamp", RED, files={"thumbnail.webp": picture_of(RED)}), PublishPolicy(shelf.keys)
+    publish(lamp, shelf.store, key="lamp", policy=policy)
     with site_at(tmp_path, shelf.keys) as site:
-        publish(box("Lamp", RED, files={"thumbnail.webp": picture_of(RED)}), site.store, key="lamp", keys=site.keys)
+        publish(lamp, site.store, key="lamp", policy=policy)
         visit(page, site)
         expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
         await_data(page, offline="ready")

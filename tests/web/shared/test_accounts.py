@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from capture2vr.storage.catalogue.visibility import Visibility
 from capture2vr.storage.tenant_store import store_of_tenant
@@ -32,8 +32,8 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedSite]:
     keys = Keys((read_signer(folder / "ours"),))
     secret = make_key(folder / "data", "ada", ALL_SCOPES - {Scope.OPERATE})
     with site_at(folder, keys) as site:
-        publish(box("Cup", RED), store_of_tenant(site.store, "ada"), key="cup", keys=keys)
-        publish(box("Jug", BLUE), store_of_tenant(site.store, "ada"), key="jug", keys=keys)
+        publish(box("Cup", RED), store_of_tenant(site.store, "ada"), key="cup", policy=PublishPolicy(keys))
+        publish(box("Jug", BLUE), store_of_tenant(site.store, "ada"), key="jug", policy=PublishPolicy(keys))
         yield GuardedSite(site, secret, folder / "data")
 
 

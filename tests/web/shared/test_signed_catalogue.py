@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from capture2vr.storage.catalogue.collection import index_name
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from capture2vr.storage.catalogue.update import rebuild
 from capture2vr.storage.local import LocalStore
@@ -38,7 +38,7 @@ def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 @pytest.fixture
 def store(signed: Site) -> Iterator[LocalStore]:
     """The gateway's store with an asset; its index is as it was when the test is over."""
-    publish(BOWL, signed.store, key="bowl", keys=signed.keys)
+    publish(BOWL, signed.store, key="bowl", policy=PublishPolicy(signed.keys))
     whole = signed.store.get(INDEX)
     yield signed.store
     replaced(signed.store, whole)
@@ -79,7 +79,7 @@ def test_a_signed_asset_is_shown_and_an_older_catalogue_refused(
     store: LocalStore,
 ) -> None:
     older = store.get(INDEX)
-    publish(BOWL, store, key="another", keys=signed.keys)
+    publish(BOWL, store, key="another", policy=PublishPolicy(signed.keys))
     expect_shown(visit(context, signed))
     replaced(store, older)
     expect_refused(visit(context, signed), "CATALOGUE_OLDER", "older catalogue than this device has seen")

@@ -13,7 +13,7 @@ from itertools import product
 import pytest
 from playwright.sync_api import Page, expect
 
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from tests.support.lines import Line, line_to
 from tests.support.pages import await_data, time_limit_ms
@@ -36,7 +36,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     with site_at(folder, keys) as site:
         for key, colour in {"red": RED, "blue": BLUE}.items():
             files = {"thumbnail.webp": picture_of(colour)}
-            publish(box(f"{key} box", colour, files=files), site.store, key=key, keys=keys)
+            publish(box(f"{key} box", colour, files=files), site.store, key=key, policy=PublishPolicy(keys))
         yield site
 
 
