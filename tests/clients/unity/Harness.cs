@@ -168,7 +168,7 @@ public static class SingleThread
     private static void Occupy(CountdownEvent busy)
     {
         busy.Signal();
-        Thread.Sleep(Timeout.Infinite);
+        while (true) Thread.Sleep(Timeout.Infinite); // Mono ends it early at times
     }
 }
 
