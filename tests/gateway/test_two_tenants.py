@@ -20,6 +20,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from capture2vr.gateway.jobs.capture_objects import receipt_name
+from capture2vr.gateway.page_texts import sentences_address
 from capture2vr.gateway.routes.captures import CaptureView
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.store import Store
@@ -48,7 +49,7 @@ _PARAMETERS = {
     "/edit": {"key": "asset"},
     "/browse": {"name": "collection"},
     "/wardrobe": {"name": "collection"},
-    "/web/sentences": {"name": "level"},
+    "/web/sentences": {"name": "sentences"},
 }
 """Which of a tenant's ids a path parameter takes, by the beginning of the path."""
 _BODIES: Mapping[str, Any] = {
@@ -129,6 +130,7 @@ class Ids:
     tenant: str = "ada"
     level: str = "0"
     version: str = "1"
+    sentences: str = sentences_address("de").rpartition("/")[2]
 
     def of(self, template: str) -> dict[str, str]:
         """The values of a path's parameters."""
@@ -220,7 +222,8 @@ def nothing() -> Ids:
 def masked(answer: httpx.Response, ids: Ids) -> tuple[int, str]:
     """Status and text of an answer, without the ids that were asked for and what changes with every request."""
     text = answer.text
-    values = [getattr(ids, field.name) for field in fields(ids) if field.name not in ("tenant", "level", "version")]
+    public = {"tenant", "level", "version", "sentences"}
+    values = [getattr(ids, field.name) for field in fields(ids) if field.name not in public]
     for value in sorted(values, key=len, reverse=True):
         text = text.replace(value, "…")
     return answer.status_code, text
