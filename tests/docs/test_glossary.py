@@ -25,7 +25,8 @@ WEB_PAGES = tuple(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "
 _ROW = re.compile(r"^\| \*\*.*\| (?P<meaning>.*) \| (?P<forbidden>[^|]*?) ?\|$", re.MULTILINE)
 # Code, what a page calls its own buttons, links' targets, and the glossary's own rows are not prose.
 _NO_PROSE = re.compile(
-    r"^```.*?^```|`[^`\n]+`|(?<!\*)\*(?!\*)[^*\n]+\*(?!\*)|\]\([^)]*\)|\{ #[^}]*\}|^\| \*\*[^\n]*$",
+    r"^```.*?^```|`[^`\n]+`|(?<!\*)\*(?!\*)(?:[^*\n]|\n(?!\n))+\*(?!\*)|\b_(?!_)(?:[^_\n]|\n(?!\n))+_\b"
+    r"|\]\([^)]*\)|\{ #[^}]*\}|^\| \*\*[^\n]*$",
     re.DOTALL | re.MULTILINE,
 )
 _NO_TEXT = re.compile(r"`[^`]+`|\{[^{}]*\}|<[^<>]*>")
