@@ -2,7 +2,7 @@
 # make test         lint, the fast tests, and of browser, S3 and processes what is essential; says what it leaves to make test-all
 # make test-all     all tests, in parts; a run that was killed goes on with the part it was in. PART=3/12: one part alone
 # make test-compose the whole stack in a Docker engine of its own; as root, minutes. CAPTURE2VR_COMPOSE=folder keeps its images
-# make lint         ruff, mypy and the import contracts alone; eslint and the TypeScript compiler for the pages' JavaScript
+# make lint         ruff, mypy and the import contracts alone; Prettier for pages and documents; eslint and the TypeScript compiler for JavaScript
 # make bench        all tables of tests/bench/README.md that need no data of others; hours. NAME alone: .venv/bin/python -m tests.bench NAME
 # make audit        ask OSV and npm whether a pinned version has a known vulnerability; says "not audited" where it cannot ask
 # make sbom         dist/*.cdx.json: all that an installation consists of, with licences (CycloneDX)
@@ -43,9 +43,9 @@ help:
 	PYTHON="$(PYTHON)" bash deploy/setup.sh tests
 	touch $@
 
-# What checks the pages' JavaScript; the set-up above has installed Node. The pages themselves use none of it.
+# What checks the pages' JavaScript, and their layout; the set-up above has installed Node. The pages themselves use none of it.
 node_modules/.ready: package.json package-lock.json | .venv/.test-ready
-	@command -v npm >/dev/null || { echo "make: eslint and the TypeScript compiler need npm; install Node 18 or newer" >&2; exit 1; }
+	@command -v npm >/dev/null || { echo "make: eslint, Prettier and the TypeScript compiler need npm; install Node 18 or newer" >&2; exit 1; }
 	npm ci --no-audit --no-fund --loglevel=error
 	touch $@
 
@@ -68,6 +68,7 @@ lint-others:
 	node_modules/.bin/tsc -p tsconfig.json
 	node_modules/.bin/tsc -p tsconfig.workers.json
 	node_modules/.bin/eslint --cache --cache-location node_modules/.cache/eslint/ --max-warnings 0 .
+	node_modules/.bin/prettier --cache --cache-strategy content --cache-location node_modules/.cache/prettier --check .
 
 test: lint
 	.venv/bin/pytest -n $(TEST_PROCESSES) -m "essential or not (browser or s3 or docker or slow or compose)"

@@ -54,10 +54,10 @@ def test_a_description_keeps_its_lines() -> None:
         (AssetNames(label="a\u202eb"), r"U\+202E"),
         (AssetNames(description="a" * (DESCRIPTION_CHARS + 1)), "a description has at most 2,000 characters"),
         (AssetNames(description="a\x1b[2Jb"), r"U\+001B"),
-        (AssetNames(labels=("a" * (WORD_CHARS + 1),)), "a search word has at most 50 characters"),
-        (AssetNames(labels=("a", " ")), "a search word is empty"),
+        (AssetNames(labels=("a" * (WORD_CHARS + 1),)), "a tag has at most 50 characters"),
+        (AssetNames(labels=("a", " ")), "a tag is empty"),
         (AssetNames(labels=("a\u2028b",)), r"U\+2028"),
-        (AssetNames(labels=tuple(map(str, range(MOST_LABELS + 1)))), "at most 20 search words, and these are 21"),
+        (AssetNames(labels=tuple(map(str, range(MOST_LABELS + 1)))), "at most 20 tags, and these are 21"),
     ],
 )
 def test_what_is_no_name_is_refused(names: AssetNames, said: str) -> None:

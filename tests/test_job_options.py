@@ -150,7 +150,7 @@ def test_the_command_line_gives_the_options_whole(
         ({"longest_m": float("nan")}, "LENGTH_INVALID", "longest_m must be 0.001 to 1000.0 metres"),
         ({"longest_m": -1.0}, "LENGTH_INVALID", "longest_m must be"),
         ({"names": AssetNames("two\nlines")}, "LABEL_INVALID", "U+000A"),
-        ({"names": AssetNames(labels=("",))}, "LABEL_INVALID", "a search word is empty"),
+        ({"names": AssetNames(labels=("",))}, "LABEL_INVALID", "a tag is empty"),
     ],
 )  # fmt: skip
 def test_an_option_that_a_job_cannot_have_is_named(options: dict[str, Any], code: str, message: str) -> None:

@@ -21,7 +21,7 @@ WEB = Path(__file__).parents[1] / "web"
 TEXTS = WEB / "texts.json"
 
 _ELEMENT = re.compile(
-    r"(<(title|h1|h2|p|label|legend|summary|option|button|a|strong|code)\b[^>]*>)(.*?)(</\2>)", re.DOTALL
+    r"(<(title|h1|h2|p|label|legend|summary|option|button|a|strong|code)\b[^>]*>)(.*?)(</\2\s*>)", re.DOTALL
 )
 _RUN = re.compile(r"(>)([^<>]+)(<)")
 _ATTRIBUTE = re.compile(r'(\s(?:aria-label|aria-roledescription|alt|placeholder|title)=")([^"]+)(")')
@@ -90,5 +90,5 @@ def translate_markup(html: str, find: Callable[[str], str | None]) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a text as the table has it: without the line breaks and the indents of a page's file."""
-    return " ".join(text.split())
+    """Return a text as the table has it: without line breaks and indents, and with `<br>` for `<br />`."""
+    return " ".join(text.split()).replace(" />", ">")

@@ -1,4 +1,4 @@
-"""What people call an asset: a label, a description and search words, with the same limits in every service."""
+"""What people call an asset: a label, a description and tags, with the same limits in every service."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LABEL_CHARS = 200
 DESCRIPTION_CHARS = 2_000
 MOST_LABELS = 20
 WORD_CHARS = 50
-"""Most characters of a search word."""
+"""Most characters of a tag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class AssetNames:
 
     label        one line, the caption
     description  some lines of text
-    labels       search words, such as a season or a room; none twice, whatever its case
+    labels       tags, such as a season or a room; none twice, whatever its case
     """
 
     label: str = ""
@@ -62,15 +62,15 @@ def check_description(text: str) -> str:
 
 
 def check_labels(words: Iterable[str]) -> tuple[str, ...]:
-    """Return search words without spaces around them, each once, in their order. Raises ValueError."""
+    """Return tags without spaces around them, each once, in their order. Raises ValueError."""
     found: dict[str, str] = {}
     for word in words:
-        line = _line("a search word", word, WORD_CHARS)
+        line = _line("a tag", word, WORD_CHARS)
         found.setdefault(line.casefold(), line)
     if "" in found:
-        raise ValueError("a search word is empty")
+        raise ValueError("a tag is empty")
     if len(found) > MOST_LABELS:
-        raise ValueError(f"an asset has at most {MOST_LABELS} search words, and these are {len(found)}")
+        raise ValueError(f"an asset has at most {MOST_LABELS} tags, and these are {len(found)}")
     return tuple(found.values())
 
 

@@ -1,14 +1,19 @@
-"""One word for one concept: what the glossary forbids is in no document and in no help text of the command line."""
+"""One word for one concept: what the glossary forbids is in no document, on no page of the product, in no sentence of
+the services and in no help text of the command line.
+"""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import pytest
 from typer.main import get_command
 
 from capture2vr.cli.main import app
+from capture2vr.sentences.sentence import english
+from tests.support.html_texts import Texts
 from tests.support.repository import ROOT
 
 PAGES = (
@@ -16,14 +21,15 @@ PAGES = (
     *("deploy/README.md", "deploy/runbook.md", "clients/unity/README.md", "clients/godot/README.md"),
     *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md"))),
 )
-TEXTS: tuple[str, ...] = ()
-"""Files of the web pages' English texts that keep to the glossary too."""
+WEB_PAGES = tuple(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "services" / "web").glob("*/*.html")))
 _ROW = re.compile(r"^\| \*\*.*\| (?P<meaning>.*) \| (?P<forbidden>[^|]*?) ?\|$", re.MULTILINE)
 # Code, what a page calls its own buttons, links' targets, and the glossary's own rows are not prose.
 _NO_PROSE = re.compile(
-    r"^```.*?^```|`[^`\n]+`|(?<!\*)\*(?!\*)[^*\n]+\*(?!\*)|\]\([^)]*\)|\{ #[^}]*\}|^\| \*\*[^\n]*$",
+    r"^```.*?^```|`[^`\n]+`|(?<!\*)\*(?!\*)(?:[^*\n]|\n(?!\n))+\*(?!\*)|\b_(?!_)(?:[^_\n]|\n(?!\n))+_\b"
+    r"|\]\([^)]*\)|\{ #[^}]*\}|^\| \*\*[^\n]*$",
     re.DOTALL | re.MULTILINE,
 )
+_NO_TEXT = re.compile(r"`[^`]+`|\{[^{}]*\}|<[^<>]*>")
 
 
 def forbidden_words() -> list[str]:
@@ -40,6 +46,11 @@ def forbidden_in(page: str) -> list[str]:
     return [text[max(0, found.start() - 40) : found.end() + 20] for found in FORBIDDEN.finditer(text)]
 
 
+def forbidden_among(texts: Iterable[str]) -> list[str]:
+    """The texts of pages or services that use a forbidden word: names of values and markup are not prose."""
+    return [text for text in texts if FORBIDDEN.search(_NO_TEXT.sub("`", text))]
+
+
 def help_texts() -> Iterator[tuple[str, str]]:
     """Name and help of every command, and of each of its parameters."""
     todo = [("capture2vr", get_command(app))]
@@ -54,11 +65,33 @@ def test_the_glossary_forbids_something() -> None:
     assert {"thing", "film", "search word", "saved scene"} <= set(forbidden_words())
     assert FORBIDDEN.search("two Things beside each other")
     assert not FORBIDDEN.search("something that is nothing")
+    assert forbidden_among(["{things} of <b title='film'>a</b> `thing`", "<b>a</b> film", "{count} things"]) == [
+        "<b>a</b> film",
+        "{count} things",
+    ]
 
 
-@pytest.mark.parametrize("page", [*PAGES, *TEXTS])
+@pytest.mark.parametrize("page", PAGES)
 def test_a_page_keeps_to_the_words_of_the_glossary(page: str) -> None:
     assert forbidden_in((ROOT / page).read_text()) == []
+
+
+@pytest.mark.parametrize("page", WEB_PAGES)
+def test_a_page_of_the_product_keeps_to_the_words_of_the_glossary(page: str) -> None:
+    texts = Texts((ROOT / page).read_text(encoding="utf-8")).found
+    assert len(texts) > 5
+    assert forbidden_among(texts) == []
+
+
+def test_what_pages_and_their_scripts_say_keeps_to_the_words_of_the_glossary() -> None:
+    texts = json.loads((ROOT / "services" / "web" / "texts.json").read_text(encoding="utf-8"))  # German by English
+    assert len(texts) > 300
+    assert forbidden_among(texts) == []
+
+
+def test_what_the_services_say_keeps_to_the_words_of_the_glossary() -> None:
+    assert len(english()) > 900
+    assert forbidden_among(english().values()) == []
 
 
 def test_the_help_of_the_command_line_keeps_to_the_words_of_the_glossary() -> None:

@@ -13,7 +13,7 @@ from capture2vr.gateway.page_modules import name_modules, static_imports
 
 WEB = page_texts.WEB.resolve()  # the package may be a link, and imports between modules are resolved
 _LINK = re.compile(r'<link rel="modulepreload" fetchpriority="low" href="/web/([^"]+)">')
-_SOURCE = re.compile(r"""^\s*(?:import|export)\b.*\bfrom '(\.[^']+)';""", re.MULTILINE)
+_SOURCE = re.compile(r"""^\s*(?:import|export)\b[^;'(]*\bfrom '(\.[^']+)';""", re.MULTILINE)
 _PAGES = sorted(WEB.rglob("*.html"))
 
 

@@ -5,42 +5,20 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import AsyncIterator
-from html.parser import HTMLParser
 from pathlib import Path
 
 import httpx
 import pytest
 
 from capture2vr.gateway.page_texts import WEB, german_texts, one_line, texts_of_scripts, translate_page
+from tests.support.html_texts import Texts
 from tests.support.in_process_gateway import gateway, memory
 
 PAGES = sorted(path for path in WEB.glob("*/*.html") if path.parent.name != "admin")
 SCRIPTS = sorted(path for path in WEB.glob("*/*.js") if path.parent.name not in {"admin", "vendor"})
-HEARD = ("aria-label", "aria-roledescription", "alt", "placeholder", "title")  # attributes that people read or hear
 ONLY_NAMES = {"capture2vr", "123 456", "c2v_…"}  # the same in every language
 _CALL = re.compile(r"\bt\(\s*'((?:[^'\\]|\\.)*)'")
 _PLACE = re.compile(r"\{\w+\}")
-
-
-class Texts(HTMLParser):
-    """All texts of a page that people read or hear, each on one line."""
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.found: list[str] = []
-        self._in_script = False
-        self.feed(html)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self._in_script = tag == "script"
-        self.found += [one_line(value) for name, value in attrs if name in HEARD and value]
-
-    def handle_endtag(self, tag: str) -> None:
-        self._in_script = False
-
-    def handle_data(self, data: str) -> None:
-        if not self._in_script and re.search("[A-Za-z]{2}", data):
-            self.found.append(one_line(data))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
@@ -119,6 +97,6 @@ async def test_others_get_the_english_page_and_operators_pages_are_english(clien
     page = await client.get("/", headers={"Accept-Language": "fr"})
     assert page.headers["content-language"] == "en"
     assert not re.search('id="texts"|data-sentences', page.text)
-    assert "<h1>Capture a thing</h1>" in page.text
+    assert "<h1>Capture an object</h1>" in page.text
     operators = await client.get("/admin", headers={"Accept-Language": "de"})
     assert operators.headers["content-language"] == "en"

@@ -138,7 +138,7 @@ function draw() {
  */
 function countText(photoCount, filmCount) {
   const photoText = photoCount === 1 ? t('1 photo') : t('{count} photos', { count: photoCount });
-  const filmText = filmCount === 1 ? t('1 film') : t('{count} films', { count: filmCount });
+  const filmText = filmCount === 1 ? t('1 video') : t('{count} videos', { count: filmCount });
   return photoCount && filmCount ? t('{photos} and {films}', { photos: photoText, films: filmText }) : filmCount ? filmText : photoText;
 }
 
@@ -152,8 +152,8 @@ function adviceFor(chosen, films) {
   const count = chosen.length;
   const [least, most] = ADVISED;
   if (isMore) return t('They are added to the photos that are stored.') + rest;
-  if (films && count < FEWEST) return t('Its best pictures are chosen for you.') + (films > 1 ? ` ${t('Only the largest film is used.')}` : '');
-  if (films) return t('There are photos enough, so the film is not used.') + rest;
+  if (films && count < FEWEST) return t('Its best pictures are chosen for you.') + (films > 1 ? ` ${t('Only the largest video is used.')}` : '');
+  if (films) return t('There are photos enough, so the video is not used.') + rest;
   if (count === 1) return t('One photo shows one side; the others are a guess. {least} to {most} from all around show them.', { least, most }) + rest;
   if (count < FEWEST) return t('At least {fewest} are needed; {least} to {most} from all around are best.', { fewest: FEWEST, least, most }) + rest;
   if (count < least) return t('{least} to {most} are best: {count} more, from where there is none yet.', { least, most, count: least - count }) + rest;

@@ -15,8 +15,8 @@ const page = {
 
 /** @type {{ kept: string, name: string, other: Cut, offer: string }[]} */
 const CUTS = [
-  { kept: 'object', name: t('the thing in the middle'), other: 'scene', offer: t('Keep everything that was seen') },
-  { kept: 'scene', name: t('everything that was seen'), other: 'object', offer: t('Keep only the thing in the middle') },
+  { kept: 'object', name: t('the object in the middle'), other: 'scene', offer: t('Keep everything that was seen') },
+  { kept: 'scene', name: t('everything that was seen'), other: 'object', offer: t('Keep only the object in the middle') },
 ];
 
 /** @type {() => void} */

@@ -10,7 +10,7 @@ import { t } from '../shared/texts.js';
 const RETRY_MS = 10_000; // until the next look, where the workers are busy: each sends the photo again
 const LEAST_SIDE = 0.02; // of the photo: less is a tap, which takes the rectangle away
 const KEY_STEP = 0.02; // of the photo, for each press of an arrow key
-const LATER = t('The outline cannot be shown now. The server looks for the thing later, in the rectangle if you draw one.');
+const LATER = t('The outline cannot be shown now. The server looks for the object later, in the rectangle if you draw one.');
 /** @type {PhotoBox} */
 const FIRST_BOX = [0.25, 0.25, 0.75, 0.75]; // where a rectangle begins that is moved by keys
 /** @type {Record<string, [across: number, down: number]>} */
@@ -64,7 +64,7 @@ async function lookAgain() {
   const request = lastRequest;
   drawOutline([]);
   document.body.dataset.outlined = '';
-  page.note.textContent = t('Looking for the thing …');
+  page.note.textContent = t('Looking for the object …');
   const text = await findOutline(file, request).catch((error) => isConnectionProblem(error) ? '' : sentences(error));
   if (request !== lastRequest) return;
   page.note.textContent = text || LATER;
@@ -83,7 +83,7 @@ async function findOutline(photo, request) {
   const { inspected, outline } = await outlinePhoto(photo, box);
   if (!inspected) return '';
   if (request === lastRequest) drawOutline(outline);
-  return box ? t('This will be made into a mesh.') : t('This will be made into a mesh. Is it not the thing? Draw a rectangle around the thing, on the photo.');
+  return box ? t('This will be made into a mesh.') : t('This will be made into a mesh. Is it not the object? Draw a rectangle around the object, on the photo.');
 }
 
 // ---- drawing --------------------------------------------------------------------------------------------------------

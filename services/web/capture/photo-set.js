@@ -67,7 +67,7 @@ export function findFaults(photos) {
  */
 function faultOf({ quality, differences }, earlier) {
   if (quality.dark) return t('Almost black. Take it again with more light.');
-  if (quality.white > MOST_WHITE) return t('More than half of it is plain white. Use less light, or tap on the thing before you take it.');
+  if (quality.white > MOST_WHITE) return t('More than half of it is plain white. Use less light, or tap on the object before you take it.');
   const original = earlier.find((other) => isCopy(quality, other.quality, differences.get(other.file) ?? Infinity));
   return original ? t('Shows the same as {name}. Take a step to the side between photos.', { name: original.file.name }) : '';
 }

@@ -25,7 +25,7 @@ export function showVerdicts(details, { photos: verdicts = [], format } = {}) {
   const used = verdicts.filter(({ verdict }) => verdict === 'ok');
   details.hidden = verdicts.length === 0;
   child(details, 'summary', HTMLElement).textContent = format === 'video'
-    ? t('Used {count} of {total} pictures of the film', { count: used.length, total: verdicts.length })
+    ? t('Used {count} of {total} pictures of the video', { count: used.length, total: verdicts.length })
     : t('Used {count} of {total} photos', { count: used.length, total: verdicts.length });
   child(details, 'ul', HTMLUListElement).replaceChildren(...[...rejected, ...used].map(verdictItem));
 }

@@ -41,7 +41,7 @@ export async function checkEntry(entry) {
  * @returns {Promise<AssetEntry>}
  */
 async function checkProof(entry, proof, keys) {
-  if (!(await hasGoodSignature(proof, keys))) throw forged(t('This thing is not signed by whom it should be, so it is not shown.'));
+  if (!(await hasGoodSignature(proof, keys))) throw forged(t('This object is not signed by whom it should be, so it is not shown.'));
   /** @type {AssetProof} */
   const { asset, version, manifest } = JSON.parse(proof.signed);
   if (asset !== entry.key || manifest !== entry.manifest.sha256) throw forged(t('The server answered with the signature of something else.'));

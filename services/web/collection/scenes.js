@@ -15,7 +15,7 @@ export async function listScenes(session) {
   element('scenes', HTMLDetailsElement).hidden = scenes.length === 0;
   element('scenes-list', HTMLElement).replaceChildren(...scenes.reverse().map(({ name, things, view }) => {
     const item = create('li');
-    item.append(create('a', { href: view, textContent: name, dir: 'auto' }), ` ${things === 1 ? t('1 thing') : t('{count} things', { count: things })}`);
+    item.append(create('a', { href: view, textContent: name, dir: 'auto' }), ` ${things === 1 ? t('1 object') : t('{count} objects', { count: things })}`);
     return item;
   }));
 }

@@ -16,16 +16,16 @@ import { t } from '../shared/texts.js';
  */
 export function summarize(count, exact, size, asked) {
   if (count === 0) return sayNothingFound(asked);
-  const things = count === 1 ? t('1 thing') : t('{count} things', { count: formatCount(count) });
+  const things = count === 1 ? t('1 object') : t('{count} objects', { count: formatCount(count) });
   const found = exact ? things : t('More than {things}', { things });
   if (asked.words) return t('{found} for “{words}”', { found, words: asked.words });
   if (asked.state) return `${found}, ${stateText(asked.state)}`;
-  return exact || asked.limited ? found : t('About {count} things', { count: formatCount(size) });
+  return exact || asked.limited ? found : t('About {count} objects', { count: formatCount(size) });
 }
 
 /** @param {Asked} asked */
 function sayNothingFound({ words, state, limited }) {
   if (limited) return t('Nothing matches; look at “Date and size”.');
   if (words) return t('Nothing matches “{words}”.', { words });
-  return state ? t('There are no {state} things.', { state: stateText(state) }) : t('Nothing is here yet.');
+  return state ? t('There are no {state} objects.', { state: stateText(state) }) : t('Nothing is here yet.');
 }

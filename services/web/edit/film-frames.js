@@ -98,7 +98,7 @@ export class FilmFrames {
 
   #unreadable() {
     this.#url = '';
-    const detail = t('This browser cannot show the film that this picture is of. Try another browser, such as that of the phone that took it.');
+    const detail = t('This browser cannot show the video that this picture is from. Try another browser, such as that of the phone that took it.');
     return new Problem({ code: 'FILM_UNREADABLE', detail });
   }
 }

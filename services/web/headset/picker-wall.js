@@ -62,7 +62,7 @@ export class PickerWall {
   offer(camera) {
     this.#button.paint((context) => {
       paintGround(context, BUTTON_PX);
-      return [paintButton(context, [12, 12, BUTTON_PX[0] - 24, BUTTON_PX[1] - 24], { name: 'open', text: t('Add a thing'), press: () => this.toggle(camera) })];
+      return [paintButton(context, [12, 12, BUTTON_PX[0] - 24, BUTTON_PX[1] - 24], { name: 'open', text: t('Add an object'), press: () => this.toggle(camera) })];
     });
     standBefore(this.#button, camera, { away: BUTTON_AWAY_M, below: BUTTON_BELOW_M, turn: BUTTON_TURN });
     reportPlaces(this.panels);
@@ -133,7 +133,7 @@ export class PickerWall {
       context.fillStyle = INK;
       context.font = '36px system-ui, sans-serif';
       context.textAlign = 'left';
-      context.fillText(this.#said || t('Choose a thing'), EDGE, EDGE + TITLE / 2, WALL_PX[0] - 2 * EDGE);
+      context.fillText(this.#said || t('Choose an object'), EDGE, EDGE + TITLE / 2, WALL_PX[0] - 2 * EDGE);
       return [...this.#paintLabels(context), ...this.#paintThings(context), ...this.#paintButtons(context)];
     });
     reportPlaces(this.panels);

@@ -14,8 +14,8 @@ const SERVER_ERRORS = 500;
 const LOOPBACK = ['localhost', '127.0.0.1', '[::1]'];
 /** @type {[text: string, scopes: Scope[]][]} */
 const CHOICES = [
-  [t('look at things, and capture new ones'), ['read', 'capture']],
-  [t('only look at things'), ['read']],
+  [t('look at objects, and capture new ones'), ['read', 'capture']],
+  [t('only look at objects'), ['read']],
   [t('only capture'), ['capture']],
   [t('also remove, share and pair'), ['read', 'capture', 'manage']],
 ];

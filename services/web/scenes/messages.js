@@ -40,7 +40,7 @@ export function showCaption(items, { title, wanted, failed, gone }) {
   if (items.length === 0 && !title) return;
   page.retry.hidden = failed === 0;
   const entries = items.map(({ entry }) => entry);
-  const name = title || (items.length === 1 ? items[0].name : t('{count} things', { count: items.length }));
+  const name = title || (items.length === 1 ? items[0].name : t('{count} objects', { count: items.length }));
   document.title = `${name} · capture2vr`;
   page.label.textContent = name;
   page.summary.textContent = wanted === 1 && !title ? aboutOne(entries[0]) : aboutAll(entries, { title, wanted, failed, gone });
@@ -67,7 +67,7 @@ function aboutOne(entry) {
  */
 function aboutAll(entries, { title, wanted, failed, gone }) {
   const coming = wanted - entries.length - failed - gone.length;
-  const count = title && (wanted === 1 ? t('1 thing') : t('{count} things', { count: wanted }));
+  const count = title && (wanted === 1 ? t('1 object') : t('{count} objects', { count: wanted }));
   const more = coming > 0 ? t('{count} more on the way', { count: coming }) : '';
   const lost = gone.length > 0 ? t('Not here any more, deleted or taken back: {keys}', { keys: gone.join(', ') }) : '';
   return [count, trianglesText(entries), more, failed > 0 ? t('{count} could not be loaded', { count: failed }) : '', lost].filter(Boolean).join(' · ');

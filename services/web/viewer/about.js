@@ -15,7 +15,7 @@ const VERDICTS = {
   worse: t('By its figures it is worse than the preview was.'),
 };
 /** @type {Record<string, string>} */
-const KEPT = { object: t('the thing without its surroundings'), scene: t('everything that was seen') };
+const KEPT = { object: t('the object without its surroundings'), scene: t('everything that was seen') };
 /** @type {Record<string, string>} */
 const SCALES = { metric: t('Its size was measured.'), estimated: t('Its size was estimated.'), unknown: t('Its true size is not known.') };
 /** @type {Record<string, string>} */
@@ -123,7 +123,7 @@ function originLines(entry, { capture = {}, preset, preset_because: because, pre
 /** @param {CaptureSummary} capture */
 function captureText({ kind, format, frames, photos = [] }) {
   const unused = photos.filter(({ verdict }) => verdict !== 'ok').length;
-  if (kind === 'image') return t('Guessed from one photo: what the photo does not show looks as things of its kind do.');
+  if (kind === 'image') return t('Guessed from one photo: what the photo does not show looks as objects of its kind do.');
   if (kind === 'points') return t('Made from a scan ({format}).', { format: format ?? '' });
   if (!frames) return '';
   return madeFrom(frames, format === 'video' ? 'video' : kind) + (unused ? ` ${t('{count} of them could not be used.', { count: unused })}` : '');
@@ -134,7 +134,7 @@ function captureText({ kind, format, frames, photos = [] }) {
  * @param {string | undefined} kind
  */
 function madeFrom(count, kind) {
-  if (kind === 'video') return t('Made from {count} pictures of a film.', { count });
+  if (kind === 'video') return t('Made from {count} pictures of a video.', { count });
   return kind === 'photos' ? t('Made from {count} photos.', { count }) : t('Made from {count} depth pictures.', { count });
 }
 

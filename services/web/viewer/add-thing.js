@@ -32,7 +32,7 @@ export async function showAdding(onChoose, collection) {
     const found = await search.find(panel.collection.value.trim() || 'default', panel.search.value.trim(), pages ?? undefined);
     if (!found) return; // somebody has typed on meanwhile
     panel.list.replaceChildren(...found.map((asset) => createChoice(asset, onChoose)));
-    panel.said.textContent = found.length === 0 ? t('Nothing has that name or label.') : '';
+    panel.said.textContent = found.length === 0 ? t('Nothing has that name or tag.') : '';
     panel.previous.disabled = search.previous === null;
     panel.next.disabled = search.next === null;
     document.body.dataset.choices = String(found.length);

@@ -27,7 +27,7 @@ const PROMPTS = {
   height: [t('Choose the point whose height you want.')],
   area: [t('Choose the points around it, one after the other.'), t('The next one.'), t('The next one.'), t('The next one, or close the loop.')],
 };
-const NOTHING_THERE = t('There is nothing of it. Choose a point on the thing.');
+const NOTHING_THERE = t('There is nothing of it. Choose a point on the object.');
 const CROSSES = t('The lines of this loop cross, so it has no inside. Take the last point back.');
 const SAME_PLACE = t('Two of these points are one. Choose again.');
 const CROSS_STEP = 0.05; // of half the view, by one key press

@@ -121,7 +121,7 @@ export class Notes {
     const { surface, group } = this.#item;
     const picked = surface ? pick(surface, place, this.#stage.camera) : null;
     if (!surface || !picked) {
-      this.#say(t('There is nothing of it. Choose a point on the thing.'));
+      this.#say(t('There is nothing of it. Choose a point on the object.'));
       return;
     }
     const toGroup = group.matrixWorld.clone().invert().multiply(surface.matrixWorld);

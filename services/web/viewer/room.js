@@ -106,7 +106,7 @@ export class Room {
   add(key) {
     const { items, setItems, createItem } = this.#callbacks;
     if (items().length >= MOST_ITEMS) {
-      showNotice(t('A scene has at most {most} things.', { most: MOST_ITEMS }));
+      showNotice(t('A scene has at most {most} objects.', { most: MOST_ITEMS }));
       return;
     }
     hidePanelsOfOne();
@@ -233,7 +233,7 @@ export class Room {
 
   /** @param {string} id of a thing; '' means the scene */
   #nameOf(id) {
-    return this.#callbacks.items().find(({ placed }) => placed?.id === id)?.name ?? (id ? t('A thing') : t('The scene’s name'));
+    return this.#callbacks.items().find(({ placed }) => placed?.id === id)?.name ?? (id ? t('An object') : t('The scene’s name'));
   }
 
   #reportSaved() {

@@ -44,8 +44,8 @@ import { ofShownTenant } from '../shared/whose.js';
 
 const GROUND_M = 100; // of the floor on which one goes from place to place where there is no large scene
 const MOVE_HELP = matchMedia('(hover: hover)').matches
-  ? t('Drag a thing to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.')
-  : t('Drag a thing to move it. Two fingers scale and turn it.');
+  ? t('Drag an object to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.')
+  : t('Drag an object to move it. Two fingers scale and turn it.');
 
 document.body.dataset.started = 'yes';
 const page = {

@@ -89,7 +89,7 @@ export class WardrobePanel {
     const each = [...new Set(labels)];
     if (this.#labels === JSON.stringify(each)) return; // a list that is open in the browser would close
     this.#labels = JSON.stringify(each);
-    const group = create('optgroup', { label: t('Labels') });
+    const group = create('optgroup', { label: t('Tags') });
     group.append(...each.map((label) => create('option', { value: `label:${label}`, textContent: label })));
     const seasons = SEASONS.map((season) => create('option', { value: season, textContent: seasonName(season) }));
     panel.choice.replaceChildren(...seasons, create('option', { value: 'all', textContent: t('All garments') }), ...(each.length > 0 ? [group] : []));

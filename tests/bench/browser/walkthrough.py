@@ -136,7 +136,7 @@ def _name(page: Page, url: str, way: _Way, key: str) -> None:
     way.take(page, "View", "#said")
     open_panel(page, "Name it")
     page.get_by_label("Name", exact=True).fill("Fruit on a plate")
-    page.get_by_label("Search words").fill("kitchen, still life")
+    page.get_by_label("Tags, with commas").fill("kitchen, still life")
     page.locator("#names").get_by_role("button", name="Save").click()
     page.locator("#names-saved", has_text="Saved.").wait_for()
     way.take(page, "Name and label", "#names-saved")

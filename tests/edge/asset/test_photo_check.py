@@ -120,7 +120,7 @@ def test_a_photo_keeps_its_camera_in_another_frame() -> None:
 def test_a_hole_is_warned_of_with_the_photo_that_shows_it_most() -> None:
     check = PhotoCheck((check_of("a.jpg", lace=0.02, cover=0.97), check_of("b.jpg", lace=0.1, cover=0.87)))
     (warning,) = check.warnings()
-    assert "6% of what your photos show of the thing is missing" in warning
+    assert "6% of what your photos show of the object is missing" in warning
     assert "b.jpg" in warning
     assert "a.jpg" not in warning
 
@@ -133,7 +133,7 @@ def test_insides_and_leaks_are_warned_of() -> None:
     inside, leak = PhotoCheck(
         (check_of("a.jpg", inside_out=0.1), check_of("b.jpg", leak=0.08), check_of("c.jpg", leak=0.04))
     ).warnings()
-    assert inside.startswith("3% of what is seen is the inside of the thing")
+    assert inside.startswith("3% of what is seen is the inside of the object")
     assert leak.startswith("4% of the surface lies where your photos show background")
     assert "b.jpg" in leak
 

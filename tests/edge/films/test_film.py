@@ -245,7 +245,7 @@ def test_nothing_that_moves_has_its_name(still: str, tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="in 8 s hardly anything moves") as caught:
         read_capture(path)
     assert (caught.value.code, caught.value.file) == ("CAPTURE_LOW_OVERLAP", "a.mp4")
-    assert "walk around the thing" in caught.value.hints[0]
+    assert "walk around the object" in caught.value.hints[0]
 
 
 @pytest.mark.slow

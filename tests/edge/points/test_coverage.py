@@ -82,7 +82,7 @@ def test_all_round_at_two_heights_asks_for_nothing() -> None:
 @pytest.mark.slow
 def test_a_tall_cup_filmed_from_its_own_height_is_to_be_seen_from_above() -> None:
     (side,) = to_points(scanned(cup(), ring(14, height=0.25, radius=0.9)), cut="object").unseen
-    assert side.advice == f"Shoot from above: {side.share:.0%} of the thing is seen too little."
+    assert side.advice == f"Shoot from above: {side.share:.0%} of the object is seen too little."
     assert degrees_between(side.toward, [0, 0, 1]) < 20
 
 

@@ -20,7 +20,7 @@ def test_a_screen_is_flat_however_it_hangs_and_with_a_few_points_before_it(
     before = rng.uniform(-1, 1, (100, 3))
     xyz = size * Rotation.random(random_state=seed).apply(np.concatenate([screen, before])) + rng.normal(size=3)
     (warning,) = flatness_warning(xyz)
-    assert "photograph the thing itself" in warning
+    assert "photograph the object itself" in warning
 
 
 @pytest.mark.slow

@@ -224,7 +224,7 @@ def test_bare_ground_is_removed_without_a_question() -> None:
     [
         ((sheet(1.6, 20_000), column(0.3, 0.4, 1_500)), "below the plane", 0.25),
         ((disc(0.17, 9_000),), "ends where it ends", 1.5),
-        ((sheet(1.6, 20_000), off_centre(3_000)), "beside the thing", 0.5),
+        ((sheet(1.6, 20_000), off_centre(3_000)), "beside the object", 0.5),
     ],
     ids=["a pedestal below its top", "a stand", "a second thing"],
 )

@@ -226,13 +226,13 @@ def test_a_film_is_offered_and_explained(page: Page, stack: Stack, photos: list[
     page.get_by_text("How to walk around it").click()
     expect(page.get_by_text("the same walk in 20 to 60 seconds, slowly")).to_be_visible()
     (tmp_path / "walk.mp4").write_bytes(bytes(1000))
-    choose(page, tmp_path / "walk.mp4", button="Film it")
-    expect(page.locator("#count")).to_have_text("1 film")
+    choose(page, tmp_path / "walk.mp4", button="Take a video")
+    expect(page.locator("#count")).to_have_text("1 video")
     expect(page.locator("#ring")).to_be_hidden()
     choose(page, photos[0], button="Take photos")
     choose(page, photos[1], button="Take photos")
     choose(page, photos[2], button="Take photos")
-    expect(page.locator("#advice")).to_contain_text("the film is not used")
+    expect(page.locator("#advice")).to_contain_text("the video is not used")
 
 
 def cancel_job(page: Page) -> None:
@@ -252,7 +252,7 @@ def test_a_film_goes_through_gateway_and_worker(page: Page, stack: Stack, tmp_pa
             container.mux(stream.encode(av.VideoFrame.from_ndarray(rgb, format="rgb24")))
         container.mux(stream.encode())
     page.goto(stack.url)
-    choose(page, path, button="Film it")
+    choose(page, path, button="Take a video")
     with page.expect_response(re.compile("/v1/captures$|/capture$")) as answer:
         page.get_by_role("button", name="Send").click()
     receipt = answer.value.json()

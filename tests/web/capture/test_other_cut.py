@@ -53,14 +53,14 @@ def test_one_tap_gives_the_other_cut_without_an_upload(page: Page, stack: Stack,
     page.get_by_role("button", name="Send").click()
     await_data(page, state="done")
     first = page.url
-    expect(page.locator("#warnings")).to_contain_text("beside the thing was removed, which has 67% as many points")
+    expect(page.locator("#warnings")).to_contain_text("beside the object was removed, which has 67% as many points")
     assert size_m(stack, "two-balls") == pytest.approx(0.2, abs=0.02)
 
     offer = page.get_by_role("button", name="Keep everything that was seen")
     offer.click()
     page.wait_for_url(lambda url: "#job=" in url and url != first)
     await_data(page, state="done")
-    expect(page.get_by_role("button", name="Keep only the thing in the middle")).to_be_visible()
+    expect(page.get_by_role("button", name="Keep only the object in the middle")).to_be_visible()
     expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))
     assert len(uploads) == 1, "the capture is stored, and is not sent twice"
     assert size_m(stack, "two-balls") > 0.9

@@ -79,7 +79,7 @@ def visit(page: Page, site: Site, query: str = "") -> None:
 def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) -> None:
     visit(page, shelf)
     assert shown(page) == ["boot", "shoe", "sofa", "zz"], "and no bag"
-    expect(page.locator("#said")).to_have_text("4 things")
+    expect(page.locator("#said")).to_have_text("4 objects")
     expect(page.locator("[data-key=boot]")).to_have_attribute("data-picture", "thumbnail.webp")
     expect(page.locator("[data-key=shoe]")).to_have_attribute("data-picture", "preview.png")
     expect(page.locator("[data-key=zz]")).to_have_attribute("data-picture", "none")
@@ -94,7 +94,7 @@ def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) ->
     expect(box_of.locator(".name")).to_have_text(HOSTILE)
     assert box_of.locator("script, .name img, .labels img").count() == 0
 
-    searching = page.get_by_role("searchbox", name="Search by name or label")
+    searching = page.get_by_role("searchbox", name="Search by name or tag")
     for words, keys in {"leder": ["boot"], "WALK boot": ["boot"], "strassen": [], "straß": ["shoe"]}.items():
         searching.fill(words)
         expect(page.locator("#said")).to_contain_text(words)
@@ -102,9 +102,9 @@ def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) ->
     searching.fill("nothing like it")
     expect(page.locator("#said")).to_have_text("Nothing matches “nothing like it”.")
     searching.fill("")
-    expect(page.locator("#said")).to_have_text("4 things")
+    expect(page.locator("#said")).to_have_text("4 objects")
     page.locator("[data-key=boot]").get_by_role("button", name="footwear").click()
-    expect(page.locator("#said")).to_have_text("2 things for “footwear”")
+    expect(page.locator("#said")).to_have_text("2 objects for “footwear”")
     assert page.url.endswith("?q=footwear")
 
     page.get_by_role("checkbox", name="Choose Walking Boot").focus()
@@ -112,10 +112,10 @@ def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) ->
     page.get_by_role("checkbox", name="Choose Straßenschuh").check()
     expect(page.locator("#count")).to_have_text("2 chosen")
     page.get_by_role("link", name="Open together").click()
-    expect(page.locator("#label")).to_have_text("2 things")
+    expect(page.locator("#label")).to_have_text("2 objects")
     assert page.url == f"{shelf.url}/view?key=boot&key=shoe"
-    page.get_by_role("link", name="All things").click()
-    expect(page.locator("#said")).to_have_text("4 things")
+    page.get_by_role("link", name="All objects").click()
+    expect(page.locator("#said")).to_have_text("4 objects")
     page.get_by_role("link", name="Walking Boot", exact=True).click()
     expect(page.locator("#label")).to_have_text("Walking Boot")
 
@@ -232,7 +232,7 @@ def test_after_one_visit_the_page_needs_no_server(page_with_a_past: Page, shelf:
     page.goto(f"{url}/browse/default")
     expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
     page.get_by_role("searchbox").fill("lamp")
-    expect(page.locator("#said")).to_have_text("1 thing for “lamp”")
+    expect(page.locator("#said")).to_have_text("1 object for “lamp”")
 
 
 def test_ten_thousand_things_are_read_as_far_as_they_are_looked_at(page: Page, tmp_path: Path) -> None:
@@ -241,14 +241,14 @@ def test_ten_thousand_things_are_read_as_far_as_they_are_looked_at(page: Page, t
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url) if "/shard." in request.url else None)
         page.goto(f"{site.url}/browse/default")
-        expect(page.locator("#said")).to_have_text("About 10,000 things")
+        expect(page.locator("#said")).to_have_text("About 10,000 objects")
         assert (len(asked), len(shown(page))) == (1, 48)
         page.get_by_role("button", name="Next").click()
         expect(page.locator("#where")).to_have_text("Page 2")
         assert shown(page)[0] == "k00048"
         assert len(asked) == 1
         page.get_by_role("searchbox").fill("thing 9999")
-        expect(page.locator("#said")).to_have_text("1 thing for “thing 9999”")
+        expect(page.locator("#said")).to_have_text("1 object for “thing 9999”")
         assert shown(page) == ["k09999"]
         assert len(asked) == 10
         page.goto(f"{site.url}/browse/default?page=209")
@@ -328,7 +328,7 @@ def test_things_are_put_in_order_and_told_apart_by_their_state(page: Page, shelf
     expect(page.locator("#grid > li").first).to_have_attribute("data-key", "zz")
     assert shown(page) == ["zz", "sofa", "shoe", "boot"], "<img…, Sofa, Straßenschuh, Walking Boot"
     page.get_by_label("Show").select_option("preview")
-    expect(page.locator("#said")).to_have_text("1 thing, preview")
+    expect(page.locator("#said")).to_have_text("1 object, preview")
     assert shown(page) == ["shoe"]
     assert page.url.endswith("?order=name&state=preview")
     page.reload()
@@ -362,16 +362,16 @@ def test_things_are_found_by_the_day_of_their_change_and_by_their_size(page: Pag
         page.get_by_label("MB from").fill("1")
         page.locator("#most").fill("2.5")
         page.locator("#most").blur()
-        expect(page.locator("#said")).to_have_text("1 thing")
+        expect(page.locator("#said")).to_have_text("1 object")
         assert shown(page) == ["middle"]
         assert page.url.endswith("?order=largest&least=1&most=2.5")
         page.reload()
         await_data(page, state="shown")
         assert shown(page) == ["middle"]
         page.get_by_role("button", name="Any date and size").click()
-        expect(page.locator("#said")).to_have_text("3 things")
+        expect(page.locator("#said")).to_have_text("3 objects")
         page.get_by_label("Changed from").fill(f"{datetime.now():%Y-%m-%d}")
-        expect(page.locator("#said")).to_have_text("3 things")
+        expect(page.locator("#said")).to_have_text("3 objects")
         page.locator("#until").fill("2020-02-29")
         expect(page.locator("#said")).to_have_text("Nothing matches; look at “Date and size”.")
         assert shown(page) == []
@@ -419,25 +419,25 @@ def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page
             page.get_by_role("checkbox", name=f"Choose {key}").check()
         page.get_by_role("button", name="Remove").focus()
         press_twice(page.get_by_role("button", name="Remove"))
-        expect(page.locator("#said")).to_have_text("2 removed; “Show: removed ones” has them. 1 thing")
+        expect(page.locator("#said")).to_have_text("2 removed; “Show: removed ones” has them. 1 object")
         assert shown(page) == ["c"]
         expect(page.locator("#said")).to_be_focused()
         assert posts == [f"{site.url}/v1/assets/{key}/remove" for key in ("a", "b")]
         page.get_by_label("Show").select_option("removed")
-        expect(page.locator("#said")).to_have_text("2 things, removed")
+        expect(page.locator("#said")).to_have_text("2 objects, removed")
         expect(page.get_by_role("link", name="Download")).to_have_count(0)
         expect(page.get_by_role("button", name="Remove")).to_be_hidden()
         do("Restore", "A")
-        expect(page.locator("#said")).to_have_text("1 restored. 1 thing, removed")
+        expect(page.locator("#said")).to_have_text("1 restored. 1 object, removed")
         do("Delete for good", "B")
         assert read_entry(site.store, "b").removed, "once is not enough"
         page.clock.fast_forward(LONGER_MS)
         page.get_by_role("button", name="Delete for good").click()
         assert read_entry(site.store, "b").removed, "the first time was long ago"
         page.get_by_role("button", name="Tap again").click()
-        expect(page.locator("#said")).to_have_text("1 deleted for good. There are no removed things.")
+        expect(page.locator("#said")).to_have_text("1 deleted for good. There are no removed objects.")
         with pytest.raises(FileNotFoundError):
             read_entry(site.store, "b")
         page.get_by_label("Show").select_option("")
-        expect(page.locator("#said")).to_have_text("2 things")
+        expect(page.locator("#said")).to_have_text("2 objects")
         assert shown(page) == ["a", "c"]

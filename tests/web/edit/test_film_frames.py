@@ -114,7 +114,7 @@ def test_who_steps_on_quickly_sees_the_last_frame_asked_for(page: Page, stack: S
 def test_a_film_that_the_browser_cannot_decode_is_told(page: Page, stack: Stack, films: str) -> None:
     page.route("**/films/*", lambda route: route.fulfill(body=b"no film", content_type="video/mp4"))
     open_film(page, stack, films)
-    expect(page.locator("#lasso-said")).to_contain_text("This browser cannot show the film")
+    expect(page.locator("#lasso-said")).to_contain_text("This browser cannot show the video")
     page.unroute("**/films/*")
     page.get_by_role("button", name="The next photo").click()
     await_data(page, photo=key_frame("back.webm", 10))

@@ -38,7 +38,7 @@ def phone(browser: Browser) -> Iterator[Page]:
 def test_a_phone_that_scans_the_code_is_logged_in(operator: Page, phone: Page, guarded: GuardedSite) -> None:
     expect(operator.locator("#unreachable")).to_be_visible()
     operator.get_by_label("A name for it").fill("Ada's phone")
-    operator.get_by_label("The device may").select_option(label="only look at things")
+    operator.get_by_label("The device may").select_option(label="only look at objects")
     before = operator.locator("#code").inner_text()
     operator.get_by_role("button", name="Show a new code").click()
     expect(operator.locator("#code")).not_to_have_text(before)
@@ -50,7 +50,7 @@ def test_a_phone_that_scans_the_code_is_logged_in(operator: Page, phone: Page, g
     await_data(operator, state="paired")
     expect(operator.locator("#said")).to_have_text("Ada's phone is paired.")
 
-    phone.get_by_role("link", name="All things so far").click()
+    phone.get_by_role("link", name="All objects so far").click()
     await_data(phone, tenant="ada")
     session = phone.context.request.get(f"{guarded.url}/v1/session").json()
     assert (session["via"], session["scopes"]) == ("session", ["read"])

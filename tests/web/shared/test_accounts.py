@@ -125,15 +125,15 @@ def test_a_visitor_browses_an_open_collection(browser: Browser, guarded: Guarded
         page = context.new_page()
         page.goto(f"{guarded.url}/browse/default?tenant=ada")
         await_data(page, state="shown")
-        expect(page.locator("#said")).to_have_text("2 things")
+        expect(page.locator("#said")).to_have_text("2 objects")
         page.get_by_role("searchbox").fill("jug")
-        expect(page.locator("#said")).to_have_text("1 thing for “jug”")
+        expect(page.locator("#said")).to_have_text("1 object for “jug”")
         downloads = page.get_by_role("link", name="Download Jug")
         expect(downloads).to_have_attribute("href", "/view/jug?tenant=ada#downloads")
         page.get_by_role("link", name="Jug", exact=True).click()
         await_data(page, loaded="2 1 0")
         assert page.url == f"{guarded.url}/view/jug?tenant=ada"
-        page.get_by_role("link", name="All things").click()
+        page.get_by_role("link", name="All objects").click()
         await_data(page, state="shown")
     set_visibility(guarded, "collections/default", None)
 

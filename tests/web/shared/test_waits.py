@@ -152,7 +152,7 @@ def test_a_collection_that_does_not_come_is_said(page: Page, line: Line) -> None
     for _ in each_fault(page, line, f"{line.url}/browse/default", faults):
         await_silence(page, line)
         expect_sentence(page, SILENT)
-    expect(page.locator("#said")).to_have_text("2 things")
+    expect(page.locator("#said")).to_have_text("2 objects")
     expect(page.get_by_role("button", name="Try again")).to_be_hidden()
 
 

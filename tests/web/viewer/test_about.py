@@ -51,7 +51,7 @@ def test_quality_warnings_advice_and_origin_are_told(page: Page, site: Site) -> 
         HOSTILE,
         "Shoot from behind.",
         "Made from 20 photos. 1 of them could not be used.",
-        "Kept: the thing without its surroundings; photos were taken around it.",
+        "Kept: the object without its surroundings; photos were taken around it.",
         "Which way is up was told by what it stands on, with 90 % confidence.",
         "Preset standard, as 900 points on a CPU.",
     ):

@@ -153,7 +153,7 @@ def test_on_the_page_the_mouse_moves_lifts_scales_and_turns(page: Page, viewer: 
     visit(page, viewer)
     assert moved(page) == near(0, 0, 0, 1)
     page.get_by_role("button", name="Move", exact=True).click()
-    expect(page.locator("#notice")).to_contain_text("Drag a thing")
+    expect(page.locator("#notice")).to_contain_text("Drag an object")
     drag(page, (240, 150), (300, 150))
     x, y, z, _ = moved(page)
     assert abs(x) + abs(z) > 0.05

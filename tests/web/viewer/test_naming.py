@@ -37,10 +37,10 @@ def test_a_thing_is_named_where_it_is_shown(page: Page, site: Site, bundle: Bund
     open_names(page)
     page.get_by_label("Name", exact=True).fill(f" Bowl {HOSTILE}")
     page.get_by_label("Description").fill("Two\nlines.")
-    page.get_by_label("Search words").fill("blue, Blue, kitchen")
+    page.get_by_label("Tags, with commas").fill("blue, Blue, kitchen")
     page.get_by_role("button", name="Save").click()
     expect(page.locator("#names-saved")).to_have_text("Saved.")
-    expect(page.get_by_label("Search words")).to_have_value("blue, kitchen")
+    expect(page.get_by_label("Tags, with commas")).to_have_value("blue, kitchen")
     expect(page.locator("#label")).to_have_text(f"Bowl {HOSTILE}")
     expect(page.locator("#description")).to_have_text("Two\nlines.")
     assert page.locator("body").get_attribute("data-bad") is None
@@ -56,10 +56,10 @@ def test_what_is_no_name_is_said_and_nothing_is_lost(page: Page, site: Site, bun
     page.goto(f"{site.url}/view/kept")
     await_data(page, loaded="2 1 0")
     open_names(page)
-    page.get_by_label("Search words").fill("a" * 60)
+    page.get_by_label("Tags, with commas").fill("a" * 60)
     page.get_by_role("button", name="Save").click()
     expect(page.locator("#names-trouble")).to_contain_text("at most 50 characters, and this one has 60")
-    expect(page.get_by_label("Search words")).to_have_value("a" * 60)
+    expect(page.get_by_label("Tags, with commas")).to_have_value("a" * 60)
     assert read_entry(site.store, "kept").names.labels == ()
 
 

@@ -152,7 +152,7 @@ def test_what_is_saved_as_a_scene_opens_elsewhere_as_it_was(
     page.wait_for_url("**/scene/scn_*")
     await_things(page, 2)
     expect(page.locator("#label")).to_have_text("Living room")
-    expect(page.locator("#said")).to_contain_text("2 things")
+    expect(page.locator("#said")).to_contain_text("2 objects")
     assert places(page)[0][1] == 0.05
     with without_a_past(browser) as elsewhere:
         other = elsewhere.new_page()
@@ -383,20 +383,20 @@ def test_a_thing_is_added_and_one_taken_away_and_the_scene_is_deleted(page: Page
     page.goto(f"{site.url}/scene/{scene.id}")
     await_things(page, 1)
     page.route("**/v1/collections/*/assets?*", lambda route: route.abort(), times=1)
-    page.get_by_text("Add a thing", exact=True).click()
+    page.get_by_text("Add an object", exact=True).click()
     expect(page.locator("#add-trouble")).to_contain_text("The server cannot be reached.")
-    page.get_by_text("Add a thing", exact=True).click()
-    open_panel(page, "Add a thing")
+    page.get_by_text("Add an object", exact=True).click()
+    open_panel(page, "Add an object")
     choices = page.locator("#add-list button")
     expect(choices.first).to_be_visible()
-    page.get_by_label("Name or label").fill("blue")
+    page.get_by_label("Name or tag").fill("blue")
     expect(choices.filter(has_text="Red box")).to_have_count(0)
     choices.filter(has_text="Blue box").click()
     await_things(page, 2)
     until_saved(page, scene.id, 2)
     added = read_scene(site.store, scene.id).items[1]
     assert (added.asset, added.position_m[0]) == ("blue", pytest.approx(0.0, abs=0.01)), "10 cm beside the other"
-    open_panel(page, "Add a thing")
+    open_panel(page, "Add an object")
     page.get_by_role("button", name="Take Red box away").click()
     until_saved(page, scene.id, 3)
     assert [each.asset for each in read_scene(site.store, scene.id).items] == ["blue"]

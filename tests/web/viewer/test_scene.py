@@ -47,7 +47,7 @@ def test_two_stand_side_by_side_and_each_is_taken_for_itself(
     wear(context, iwer)
     both(page, site)
     expect_side_by_side(stage(page), slanting=0.05)
-    expect(page.locator("#label")).to_have_text("2 things")
+    expect(page.locator("#label")).to_have_text("2 objects")
     enter(page)
     for eye in halves(stage(page)):
         expect_side_by_side(eye)

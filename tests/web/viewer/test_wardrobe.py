@@ -110,7 +110,7 @@ def test_another_choice_stands_in_the_address_and_keeps_what_is_worn(page: Page,
     assert page.get_attribute("body", "data-worn") == "green"
     page.get_by_label("Which garments").select_option("Winter")
     expect(page.locator("#said")).to_have_text(
-        "No garment has a label of this season: Winter. Choose another one, or all garments."
+        "No garment has a tag of this season: Winter. Choose another one, or all garments."
     )
     assert share_of(page, 1) == 0
     page.get_by_label("Which garments").select_option("evening")
