@@ -147,10 +147,8 @@ def test_the_readme_is_short_and_shows_the_first_commands_of_the_first_steps() -
     assert shown <= {" ".join(each.words) for each in of(FIRST_STEPS, "run", "up", "push", "pull")}
 
 
-def test_the_changes_of_the_first_release_are_few() -> None:
-    text = (ROOT / "CHANGELOG.md").read_text()
-    assert text.count("\n- ") <= 12
-    assert len(text.split()) <= 250
+def test_the_changes_of_the_first_release_are_few_lines() -> None:
+    assert len((ROOT / "CHANGELOG.md").read_text().splitlines()) <= 25
 
 
 def test_the_pages_have_examples() -> None:
