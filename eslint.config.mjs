@@ -9,7 +9,9 @@ const shortModuleCode = {
   meta: {
     type: 'suggestion',
     schema: [{ type: 'integer' }],
-    messages: { long: 'This module runs {{lines}} lines of code while it loads. At most {{most}} are allowed: write functions.' },
+    messages: {
+      long: 'This module runs {{lines}} lines of code while it loads. At most {{most}} are allowed: write functions.',
+    },
   },
   create(context) {
     const declares = /^(Import|Export|Function|Class)/;
@@ -33,7 +35,8 @@ const noUncheckedTypes = {
     messages: { unchecked: 'The TypeScript compiler checks nothing here: write the type, or `unknown` and a check.' },
   },
   create({ sourceCode, report }) {
-    const switchesOff = ({ value }) => /@ts-(ignore|nocheck|expect-error)/.test(value) || /\{[^}]*\bany\b[^}]*\}/.test(value);
+    const switchesOff = ({ value }) =>
+      /@ts-(ignore|nocheck|expect-error)/.test(value) || /\{[^}]*\bany\b[^}]*\}/.test(value);
     return {
       Program() {
         for (const { loc } of sourceCode.getAllComments().filter(switchesOff)) report({ loc, messageId: 'unchecked' });
@@ -50,7 +53,9 @@ export default [
   js.configs.recommended,
   {
     linterOptions: { reportUnusedDisableDirectives: 'error' },
-    plugins: { capture2vr: { rules: { 'no-unchecked-types': noUncheckedTypes, 'short-module-code': shortModuleCode } } },
+    plugins: {
+      capture2vr: { rules: { 'no-unchecked-types': noUncheckedTypes, 'short-module-code': shortModuleCode } },
+    },
     rules: {
       'capture2vr/no-unchecked-types': 'error',
       'capture2vr/short-module-code': ['error', MOST_LINES],

@@ -30,7 +30,9 @@ function encode(encoder, picture, width, height) {
   encoder.setUASTC(false);
   encoder.setQualityLevel(QUALITY);
   encoder.setETC1SCompressionLevel(EFFORT);
-  if (!encoder.setSliceSourceImage(0, picture, width, height, RAW)) throw new Error(`it refused an image of ${width} × ${height}`);
+  if (!encoder.setSliceSourceImage(0, picture, width, height, RAW)) {
+    throw new Error(`it refused an image of ${width} × ${height}`);
+  }
   const out = new Uint8Array(2 * picture.length + SPARE_BYTES);
   const length = encoder.encode(out);
   if (length === 0) throw new Error('it returned no data for the image');

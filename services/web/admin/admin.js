@@ -10,7 +10,12 @@ import { sentences, toProblem } from '../shared/problems.js';
 /** @import { Service, WorkerState } from '../shared/types.d.ts' */
 
 const PERIOD_MS = 10_000;
-const PARTS = /** @type {Record<string, string>} */ ({ store: 'Store', database: 'Database', disk: 'Disk space', workers: 'Workers' });
+const PARTS = /** @type {Record<string, string>} */ ({
+  store: 'Store',
+  database: 'Database',
+  disk: 'Disk space',
+  workers: 'Workers',
+});
 
 document.body.dataset.started = 'yes';
 const page = {
@@ -25,19 +30,48 @@ function show(service) {
   const state = service.ready ? 'ready' : 'not ready';
   page.said.textContent = `Version ${service.version}, ${state}${service.open ? '. Everybody is let in without a key' : ''}.`;
   page.service.hidden = false;
-  fillTable('checks', Object.entries(service.checks).map(([part, { ok, detail }]) => [PARTS[part] ?? part, ok ? 'good' : { bad: 'bad' }, detail]));
-  page.waiting.textContent = service.waiting_s ? `The oldest job has waited for ${formatSeconds(service.waiting_s)}.` : 'No job waits.';
-  fillTable('queue', Object.entries(service.jobs).map(([name, count]) => [name.toLowerCase(), { number: formatCount(count) }]));
+  fillTable(
+    'checks',
+    Object.entries(service.checks).map(([part, { ok, detail }]) => [
+      PARTS[part] ?? part,
+      ok ? 'good' : { bad: 'bad' },
+      detail,
+    ]),
+  );
+  page.waiting.textContent = service.waiting_s
+    ? `The oldest job has waited for ${formatSeconds(service.waiting_s)}.`
+    : 'No job waits.';
+  fillTable(
+    'queue',
+    Object.entries(service.jobs).map(([name, count]) => [name.toLowerCase(), { number: formatCount(count) }]),
+  );
   fillTable('workers', [...service.workers.map(workerRow), ...service.silent_workers.map(silentRow)]);
-  fillTable('disks', service.disks.map((disk) => [disk.holds, { number: formatBytes(disk.free_bytes) }, { number: formatBytes(disk.total_bytes) }]));
-  fillTable('failures', service.failures.map((job) => [formatTime(job.at), job.tenant, job.asset_key, job.code, job.detail]));
+  fillTable(
+    'disks',
+    service.disks.map((disk) => [
+      disk.holds,
+      { number: formatBytes(disk.free_bytes) },
+      { number: formatBytes(disk.total_bytes) },
+    ]),
+  );
+  fillTable(
+    'failures',
+    service.failures.map((job) => [formatTime(job.at), job.tenant, job.asset_key, job.code, job.detail]),
+  );
 }
 
 /** @param {WorkerState} worker */
 function workerRow(worker) {
   const slots = { number: `${worker.free_slots} of ${worker.slots}` };
   const state = worker.draining ? 'stopping' : 'answers';
-  return [worker.address, worker.compatible ? state : { bad: 'other version' }, worker.version, worker.device, slots, { number: formatCount(worker.queued) }];
+  return [
+    worker.address,
+    worker.compatible ? state : { bad: 'other version' },
+    worker.version,
+    worker.device,
+    slots,
+    { number: formatCount(worker.queued) },
+  ];
 }
 
 /** @param {string} address */

@@ -69,4 +69,5 @@ export function formatBytes(bytes) {
  * A time in the zone of the reader; "never" for none.
  * @param {string | null} iso
  */
-export const formatTime = (iso) => (iso ? new Date(iso).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' }) : 'never');
+export const formatTime = (iso) =>
+  iso ? new Date(iso).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' }) : 'never';

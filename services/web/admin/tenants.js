@@ -34,12 +34,17 @@ async function showPages(table, button, load, cells) {
   fillTable(table, rows.map(cells));
   let after = next;
   more.hidden = after === null;
-  more.onclick = () => attempt(trouble, async () => {
-    const page = await load(after ?? '');
-    addRows(table, page.rows.map(cells));
-    after = page.next;
-    more.hidden = after === null;
-  }, more);
+  more.onclick = () =>
+    attempt(
+      trouble,
+      async () => {
+        const page = await load(after ?? '');
+        addRows(table, page.rows.map(cells));
+        after = page.next;
+        more.hidden = after === null;
+      },
+      more,
+    );
 }
 
 /** Shows tenants with what they use, and lets their limits be set. */
@@ -71,7 +76,8 @@ async function loadTenants(after) {
 function describeLimits(limits) {
   const names = /** @type {(keyof Limits)[]} */ (Object.keys(LIMIT_NAMES));
   const set = names.filter((name) => limits[name]);
-  const figure = (/** @type {keyof Limits} */ name) => (name.endsWith('_bytes') ? formatBytes(limits[name]) : formatCount(limits[name]));
+  const figure = (/** @type {keyof Limits} */ name) =>
+    name.endsWith('_bytes') ? formatBytes(limits[name]) : formatCount(limits[name]);
   return set.map((name) => `${figure(name)} ${LIMIT_NAMES[name]}`).join(', ') || 'none';
 }
 
@@ -118,7 +124,9 @@ async function setLimits(form) {
   const tenant = element('limited', HTMLSelectElement).value;
   /** @type {Limits} */
   const limits = await putJson(`/v1/tenants/${tenant}/limits`, body);
-  const row = Array.from(element('tenants', HTMLTableElement).rows).find(({ cells }) => cells[0].textContent === tenant);
+  const row = Array.from(element('tenants', HTMLTableElement).rows).find(
+    ({ cells }) => cells[0].textContent === tenant,
+  );
   if (row) row.cells[row.cells.length - 1].textContent = describeLimits(limits);
   said.textContent = `The limits of ${tenant}: ${describeLimits(limits)}.`;
 }
@@ -126,7 +134,11 @@ async function setLimits(form) {
 /** Shows the access keys of all tenants, with a button that revokes each. */
 export async function showKeys() {
   await showPages('keys', 'more-keys', loadKeys, (key) => [
-    key.tenant, key.label || key.id, key.scopes.join(', '), formatTime(key.last_used), key.expires ? formatTime(key.expires) : 'no end',
+    key.tenant,
+    key.label || key.id,
+    key.scopes.join(', '),
+    formatTime(key.last_used),
+    key.expires ? formatTime(key.expires) : 'no end',
     key.revoked ? { bad: `revoked ${formatTime(key.revoked)}` } : createRevoke(key),
   ]);
 }
@@ -144,7 +156,9 @@ async function loadKeys(after) {
  */
 function createRevoke(key) {
   const button = create('button', { type: 'button', className: 'link', textContent: 'Revoke' });
-  onSecondPress(button, 'Revoke for good?', () => attempt(element('keys-trouble', HTMLElement), () => revoke(key, button), button));
+  onSecondPress(button, 'Revoke for good?', () =>
+    attempt(element('keys-trouble', HTMLElement), () => revoke(key, button), button),
+  );
   return button;
 }
 
@@ -157,13 +171,19 @@ async function revoke({ id }, button) {
   /** @type {AccessKey} */
   const { revoked } = await postJson(`/v1/api-keys/${id}/revoke`, {});
   const cell = button.parentElement;
-  if (cell) Object.assign(cell, { className: 'bad', textContent: `revoked ${formatTime(revoked)}`, tabIndex: -1 }).focus();
+  if (cell) {
+    Object.assign(cell, { className: 'bad', textContent: `revoked ${formatTime(revoked)}`, tabIndex: -1 }).focus();
+  }
 }
 
 /** Shows who changed what, the newest first. */
 export async function showChanges() {
   await showPages('audit', 'more-changes', loadChanges, (row) => [
-    formatTime(row.at), row.tenant, row.key || row.via, row.address, `${row.method} ${row.path}`,
+    formatTime(row.at),
+    row.tenant,
+    row.key || row.via,
+    row.address,
+    `${row.method} ${row.path}`,
     row.status < 400 ? { number: String(row.status) } : { bad: String(row.status) },
   ]);
 }

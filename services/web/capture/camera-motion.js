@@ -59,7 +59,9 @@ function smallFor({ videoWidth, videoHeight }, small) {
   if (!videoWidth) return null;
   const [width, height] = frameSize(videoWidth, videoHeight);
   if (small?.canvas.width === width && small.canvas.height === height) return small;
-  const made = Object.assign(document.createElement('canvas'), { width, height }).getContext('2d', { willReadFrequently: true });
+  const made = Object.assign(document.createElement('canvas'), { width, height }).getContext('2d', {
+    willReadFrequently: true,
+  });
   if (made) made.imageSmoothingQuality = 'high';
   return made;
 }

@@ -21,12 +21,20 @@ const canHold = (offered) => Boolean(offered?.includes('manual') && offered.incl
  * @returns {Wish}
  */
 function modes({ exposureMode, whiteBalanceMode }, mode) {
-  return { ...(canHold(exposureMode) && { exposureMode: mode }), ...(canHold(whiteBalanceMode) && { whiteBalanceMode: mode }) };
+  return {
+    ...(canHold(exposureMode) && { exposureMode: mode }),
+    ...(canHold(whiteBalanceMode) && { whiteBalanceMode: mode }),
+  };
 }
 
 /** @type {Option[]} */
 const OPTIONS = [
-  { button: element('torch', HTMLButtonElement), can: ({ torch }) => torch === true, on: () => ({ torch: true }), off: () => ({ torch: false }) },
+  {
+    button: element('torch', HTMLButtonElement),
+    can: ({ torch }) => torch === true,
+    on: () => ({ torch: true }),
+    off: () => ({ torch: false }),
+  },
   {
     button: element('lock', HTMLButtonElement),
     can: ({ exposureMode, whiteBalanceMode }) => canHold(exposureMode) || canHold(whiteBalanceMode),

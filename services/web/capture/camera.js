@@ -10,7 +10,9 @@ const JPEG_QUALITY = 0.92;
 
 /** @type {Record<string, string>} by the name of the browser's error */
 const REASONS = {
-  NotAllowedError: t('This page is not allowed to use the camera. You can allow it in the browser, beside the page’s address.'),
+  NotAllowedError: t(
+    'This page is not allowed to use the camera. You can allow it in the browser, beside the page’s address.',
+  ),
   NotFoundError: t('No camera was found.'),
   NotReadableError: t('The camera does not start; another program may be using it.'),
 };
@@ -70,12 +72,21 @@ export class Camera {
  * @throws {Problem} NO_CAMERA, with the reason and what to do instead
  */
 export async function openCamera(video) {
-  if (!navigator.mediaDevices?.getUserMedia) throw noCamera(window.isSecureContext ? t('This browser has no camera for pages.') : t('Browsers open the camera only for pages with an https address.'));
+  if (!navigator.mediaDevices?.getUserMedia) {
+    throw noCamera(
+      window.isSecureContext
+        ? t('This browser has no camera for pages.')
+        : t('Browsers open the camera only for pages with an https address.'),
+    );
+  }
   const size = typeof ImageCapture === 'undefined' ? SHARPEST : PREVIEW;
   /** @type {MediaStream} */
   let stream;
   try {
-    stream = await navigator.mediaDevices.getUserMedia({ video: { facingMode: { ideal: 'environment' }, ...size }, audio: false });
+    stream = await navigator.mediaDevices.getUserMedia({
+      video: { facingMode: { ideal: 'environment' }, ...size },
+      audio: false,
+    });
   } catch (error) {
     const name = error instanceof DOMException ? error.name : '';
     throw noCamera(REASONS[name] ?? t('The camera does not start.'));
@@ -93,9 +104,16 @@ const noCamera = (reason) => new Problem({ code: 'NO_CAMERA', detail: reason, hi
  * @returns {Promise<Blob>}
  */
 function frameOfFilm(video) {
-  const canvas = Object.assign(document.createElement('canvas'), { width: video.videoWidth, height: video.videoHeight });
+  const canvas = Object.assign(document.createElement('canvas'), {
+    width: video.videoWidth,
+    height: video.videoHeight,
+  });
   canvas.getContext('2d')?.drawImage(video, 0, 0);
   return new Promise((resolve, reject) => {
-    canvas.toBlob((blob) => (blob ? resolve(blob) : reject(noCamera(t('The camera gives no picture.')))), 'image/jpeg', JPEG_QUALITY);
+    canvas.toBlob(
+      (blob) => (blob ? resolve(blob) : reject(noCamera(t('The camera gives no picture.')))),
+      'image/jpeg',
+      JPEG_QUALITY,
+    );
   });
 }

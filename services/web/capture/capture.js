@@ -109,7 +109,7 @@ async function sendNow() {
   const name = chosenName();
   if (!navigator.onLine) throw offline();
   const progress = { onProgress: showUploadProgress, onWaiting: showUploadWaits };
-  const receipt = knownReceipt() ?? await sendCapture(chosenFiles(), name, about(), progress);
+  const receipt = knownReceipt() ?? (await sendCapture(chosenFiles(), name, about(), progress));
   upload = { receipt, files: chosenFiles(), about: JSON.stringify(about()) };
   showReceipt(receipt);
   const { path, body } = jobOrder(name);
@@ -137,9 +137,19 @@ function jobOrder(name) {
 /** Keeps the capture on the device. @returns {Promise<string>} what to tell the person */
 async function keepForLater() {
   const name = chosenName();
-  const trouble = await keepWhole(chosenFiles(), { name, about: about(), order: jobOrder(name), capture: knownReceipt()?.capture ?? '' });
+  const trouble = await keepWhole(chosenFiles(), {
+    name,
+    about: about(),
+    order: jobOrder(name),
+    capture: knownReceipt()?.capture ?? '',
+  });
   isKept = !trouble;
-  return trouble || t('It is kept on this device, and sent when the server can be reached: by itself, or when you open this page again.');
+  return (
+    trouble ||
+    t(
+      'It is kept on this device, and sent when the server can be reached: by itself, or when you open this page again.',
+    )
+  );
 }
 
 /**
@@ -174,7 +184,15 @@ async function showFields(capture) {
   const request = /** @type {Omit<JobRequest, 'capture'>} */ (/** @type {unknown} */ (capture.order.body));
   page.words.value = joinWords(request.labels);
   page.longest.value = request.longest_m ? String(Number((100 * request.longest_m).toFixed(6))) : '';
-  for (const name of /** @type {const} */ (['description', 'collection', 'target', 'preset', 'cut', 'fill', 'visibility'])) {
+  for (const name of /** @type {const} */ ([
+    'description',
+    'collection',
+    'target',
+    'preset',
+    'cut',
+    'fill',
+    'visibility',
+  ])) {
     page[name].value = request[name];
   }
 }
@@ -184,8 +202,10 @@ async function showFields(capture) {
  * @param {CaptureReceipt} receipt
  */
 function showReceipt({ files = [] }) {
-  const lines = files.map(({ file, verdict, stripped = [] }) => [file, verdict === 'ok' ? stripped.join(', ') : verdict])
-    .filter(([, what]) => what).map(([file, what]) => `${file}: ${what}`);
+  const lines = files
+    .map(({ file, verdict, stripped = [] }) => [file, verdict === 'ok' ? stripped.join(', ') : verdict])
+    .filter(([, what]) => what)
+    .map(([file, what]) => `${file}: ${what}`);
   page.receipt.hidden = lines.length === 0;
   fillList(page.stripped, lines);
 }
@@ -200,7 +220,10 @@ function resumeJob() {
 function offerToGoOn() {
   const names = unfinishedFiles();
   page.unfinished.hidden = names.length === 0;
-  page.unfinished.textContent = t('The upload of {files} has stopped on its way. Choose the same files again, and it goes on.', { files: names.join(', ') });
+  page.unfinished.textContent = t(
+    'The upload of {files} has stopped on its way. Choose the same files again, and it goes on.',
+    { files: names.join(', ') },
+  );
 }
 
 /** Tries again after a lost connection: to watch the job, or to send the files. */

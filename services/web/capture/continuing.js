@@ -72,7 +72,14 @@ async function showContinued({ id, asset_key: key, label, edits = {} }) {
   page.section.hidden = false;
   page.details.hidden = true;
   page.heading.textContent = t('More photos of {name}', { name });
-  page.lost.hidden = !(edits.crop || edits.planes?.length || edits.lassos?.length || edits.up || edits.front || edits.length);
+  page.lost.hidden = !(
+    edits.crop ||
+    edits.planes?.length ||
+    edits.lassos?.length ||
+    edits.up ||
+    edits.front ||
+    edits.length
+  );
   expectMore(name);
   keepContinued(id, name);
   document.body.dataset.continues = key;

@@ -9,7 +9,9 @@
 export function drawRings({ arcs }) {
   const sum = arcs.reduce((total, [from, to]) => total + to - from, 0);
   const degrees = `${Math.round(sum / 10) * 10}°`;
-  for (const group of document.querySelectorAll('.ring .arcs')) group.replaceChildren(...arcs.map(([from, to]) => createArc(from, to)));
+  for (const group of document.querySelectorAll('.ring .arcs')) {
+    group.replaceChildren(...arcs.map(([from, to]) => createArc(from, to)));
+  }
   for (const text of document.querySelectorAll('.ring text')) text.textContent = degrees;
   return degrees;
 }
@@ -20,7 +22,14 @@ export function drawRings({ arcs }) {
  */
 function createArc(from, to) {
   const arc = document.createElementNS('http://www.w3.org/2000/svg', 'circle');
-  const attributes = { cx: 40, cy: 40, r: 34, pathLength: 360, 'stroke-dasharray': `${to - from} 360`, 'stroke-dashoffset': -from };
+  const attributes = {
+    cx: 40,
+    cy: 40,
+    r: 34,
+    pathLength: 360,
+    'stroke-dasharray': `${to - from} 360`,
+    'stroke-dashoffset': -from,
+  };
   for (const [name, value] of Object.entries(attributes)) arc.setAttribute(name, String(value));
   return arc;
 }

@@ -25,7 +25,9 @@ export async function openDraft(draft) {
 /** Goes on with the draft that the page's address names, if it names one that is there; returns it. */
 export async function resumeDraft() {
   const id = new URLSearchParams(location.hash.slice(1)).get('draft');
-  const draft = (await listKept(ownTenant())).find((each) => each.id === id && ['draft', 'refused'].includes(each.state));
+  const draft = (await listKept(ownTenant())).find(
+    (each) => each.id === id && ['draft', 'refused'].includes(each.state),
+  );
   return draft && takeDraft(draft);
 }
 

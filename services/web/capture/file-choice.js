@@ -48,7 +48,9 @@ export const chosenName = () => page.name.value.trim();
  */
 export function expectMore(name) {
   isMore = true;
-  page.chosen.textContent = t('Photos of the sides that were seen too little, each overlapping the others by two thirds.');
+  page.chosen.textContent = t(
+    'Photos of the sides that were seen too little, each overlapping the others by two thirds.',
+  );
   page.name.value = name;
   showKey();
 }
@@ -130,7 +132,9 @@ async function addFiles(id, input) {
 function showFiles() {
   const bytes = files.reduce((sum, file) => sum + file.size, 0);
   const count = files.length === 1 ? t('1 file') : t('{count} files', { count: files.length });
-  page.chosen.textContent = files.length ? `${count}, ${formatNumber((bytes / 1e6).toFixed(1))} MB` : t('Nothing chosen yet.');
+  page.chosen.textContent = files.length
+    ? `${count}, ${formatNumber((bytes / 1e6).toFixed(1))} MB`
+    : t('Nothing chosen yet.');
   page.list.hidden = guide(files, { isMore, onRemove: removeFiles });
   showSinglePhoto(files.length === 1 && isPhoto(files[0]) && !isMore ? files[0] : null);
   const names = files.slice(0, LISTED).map((file) => file.webkitRelativePath || file.name);

@@ -53,7 +53,11 @@ export function frameOf(rgba, width, height) {
     const [top, bottom] = [Math.max(0, y - RADIUS), Math.min(height, y + RADIUS + 1)];
     for (let x = 0; x < width; x++) {
       const [left, right] = [Math.max(0, x - RADIUS), Math.min(width, x + RADIUS + 1)];
-      const sum = sums[bottom * (width + 1) + right] - sums[top * (width + 1) + right] - sums[bottom * (width + 1) + left] + sums[top * (width + 1) + left];
+      const sum =
+        sums[bottom * (width + 1) + right] -
+        sums[top * (width + 1) + right] -
+        sums[bottom * (width + 1) + left] +
+        sums[top * (width + 1) + left];
       detail[y * width + x] = luma[y * width + x] - sum / ((bottom - top) * (right - left));
     }
   }

@@ -37,7 +37,8 @@ let isMore = false; // the photos are added to others
 let redrawTimer = 0;
 
 /** @param {File} file */
-export const isPhoto = (file) => file.type.startsWith('image/') || /\.(jpe?g|png|webp|heic|heif|avif|tiff?)$/i.test(file.name);
+export const isPhoto = (file) =>
+  file.type.startsWith('image/') || /\.(jpe?g|png|webp|heic|heif|avif|tiff?)$/i.test(file.name);
 /** @param {File} file */
 const isFilm = (file) => file.type.startsWith('video/') || /\.(mp4|mov|m4v|webm|mkv)$/i.test(file.name);
 
@@ -139,7 +140,11 @@ function draw() {
 function countText(photoCount, filmCount) {
   const photoText = photoCount === 1 ? t('1 photo') : t('{count} photos', { count: photoCount });
   const filmText = filmCount === 1 ? t('1 video') : t('{count} videos', { count: filmCount });
-  return photoCount && filmCount ? t('{photos} and {films}', { photos: photoText, films: filmText }) : filmCount ? filmText : photoText;
+  return photoCount && filmCount
+    ? t('{photos} and {films}', { photos: photoText, films: filmText })
+    : filmCount
+      ? filmText
+      : photoText;
 }
 
 /**
@@ -148,15 +153,39 @@ function countText(photoCount, filmCount) {
  */
 function adviceFor(chosen, films) {
   const unknown = chosen.filter(({ quality }) => quality === null).length;
-  const rest = unknown ? ` ${t('{count} cannot be looked at in this browser; the server will.', { count: unknown })}` : '';
+  const rest = unknown
+    ? ` ${t('{count} cannot be looked at in this browser; the server will.', { count: unknown })}`
+    : '';
   const count = chosen.length;
   const [least, most] = ADVISED;
   if (isMore) return t('They are added to the photos that are stored.') + rest;
-  if (films && count < FEWEST) return t('Its best pictures are chosen for you.') + (films > 1 ? ` ${t('Only the largest video is used.')}` : '');
+  if (films && count < FEWEST) {
+    return t('Its best pictures are chosen for you.') + (films > 1 ? ` ${t('Only the largest video is used.')}` : '');
+  }
   if (films) return t('There are photos enough, so the video is not used.') + rest;
-  if (count === 1) return t('One photo shows one side; the others are a guess. {least} to {most} from all around show them.', { least, most }) + rest;
-  if (count < FEWEST) return t('At least {fewest} are needed; {least} to {most} from all around are best.', { fewest: FEWEST, least, most }) + rest;
-  if (count < least) return t('{least} to {most} are best: {count} more, from where there is none yet.', { least, most, count: least - count }) + rest;
+  if (count === 1) {
+    return (
+      t('One photo shows one side; the others are a guess. {least} to {most} from all around show them.', {
+        least,
+        most,
+      }) + rest
+    );
+  }
+  if (count < FEWEST) {
+    return (
+      t('At least {fewest} are needed; {least} to {most} from all around are best.', { fewest: FEWEST, least, most }) +
+      rest
+    );
+  }
+  if (count < least) {
+    return (
+      t('{least} to {most} are best: {count} more, from where there is none yet.', {
+        least,
+        most,
+        count: least - count,
+      }) + rest
+    );
+  }
   if (count <= most) return t('A good number.') + rest;
   return t('More than {most} take longer and seldom show more.', { most }) + rest;
 }
@@ -166,9 +195,12 @@ function adviceFor(chosen, films) {
  * @param {Map<File, string>} faults
  */
 function drawFaults(faults) {
-  const wanted = files.flatMap((file) => ({ file, sentence: faults.get(file) ?? '' })).filter(({ sentence }) => sentence);
+  const wanted = files
+    .flatMap((file) => ({ file, sentence: faults.get(file) ?? '' }))
+    .filter(({ sentence }) => sentence);
   page.faults.hidden = wanted.length === 0;
-  page.faultCount.textContent = wanted.length === 1 ? t('1 photo may do harm') : t('{count} photos may do harm', { count: wanted.length });
+  page.faultCount.textContent =
+    wanted.length === 1 ? t('1 photo may do harm') : t('{count} photos may do harm', { count: wanted.length });
   page.removeAll.hidden = wanted.length < 2;
   const items = wanted.map(({ file, sentence }) => {
     const shown = faultItems.find((each) => each.file === file && each.sentence === sentence);
@@ -191,7 +223,11 @@ function createFaultItem(file, sentence) {
   const picture = create('img', { src: photos.get(file)?.thumbnailUrl ?? '', alt: '', width: 64, height: 64 });
   const text = create('p');
   text.append(create('strong', { textContent: file.name }), ` ${sentence}`);
-  const button = create('button', { type: 'button', textContent: t('Remove'), ariaLabel: t('Remove {name}', { name: file.name }) });
+  const button = create('button', {
+    type: 'button',
+    textContent: t('Remove'),
+    ariaLabel: t('Remove {name}', { name: file.name }),
+  });
   button.addEventListener('click', () => remove([file], item.nextElementSibling ?? item.previousElementSibling));
   item.append(picture, text, button);
   return { item, file, sentence };
@@ -210,4 +246,9 @@ function remove(unwanted, next) {
   else page.guide.focus();
 }
 
-page.removeAll.addEventListener('click', () => remove(faultItems.map(({ file }) => file), null));
+page.removeAll.addEventListener('click', () =>
+  remove(
+    faultItems.map(({ file }) => file),
+    null,
+  ),
+);

@@ -22,7 +22,13 @@ let queue = Promise.resolve(); // one write after the other
 
 /** A capture of this page; nothing of it is on the device yet. */
 function begin() {
-  return newKept({ id: `${Date.now()}-${randomKey()}`, tenant: ownTenant(), jobKey: randomKey(), filetype: newFiletype(), ...continued });
+  return newKept({
+    id: `${Date.now()}-${randomKey()}`,
+    tenant: ownTenant(),
+    jobKey: randomKey(),
+    filetype: newFiletype(),
+    ...continued,
+  });
 }
 
 /**
@@ -30,17 +36,19 @@ function begin() {
  * @param {string} adds id of the job that made it; '' for a new thing
  * @param {string} [name] of the thing, once it is known
  */
-export const keepContinued = (adds, name = '') => inTurn(async () => {
-  continued = { adds, name };
-  kept = { ...kept, adds, name: name || kept.name };
-  if (numbers.size > 0) await keep(kept).catch(() => {}); // the next photo writes it too
-});
+export const keepContinued = (adds, name = '') =>
+  inTurn(async () => {
+    continued = { adds, name };
+    kept = { ...kept, adds, name: name || kept.name };
+    if (numbers.size > 0) await keep(kept).catch(() => {}); // the next photo writes it too
+  });
 
 /** Begins another capture: photos that the person has replaced are nowhere else, and stay on the device as a draft. */
-export const beginAnother = () => inTurn(async () => {
-  kept = begin();
-  numbers.clear();
-});
+export const beginAnother = () =>
+  inTurn(async () => {
+    kept = begin();
+    numbers.clear();
+  });
 
 /** The key with which this capture's job is made once, from here or by the service worker. */
 export const jobKey = () => kept.jobKey;
@@ -54,10 +62,11 @@ export const keptId = () => kept.id;
  * @param {number | null} heading degrees
  * @returns {Promise<string>} why that is impossible, as a sentence; '' where it is done
  */
-export const keepPhoto = (file, heading) => inTurn(async () => {
-  askForDurability();
-  return attempt([newFile(file, heading)], (rows) => keep(kept, rows));
-});
+export const keepPhoto = (file, heading) =>
+  inTurn(async () => {
+    askForDurability();
+    return attempt([newFile(file, heading)], (rows) => keep(kept, rows));
+  });
 
 /**
  * Forgets a photo that the person has removed.
@@ -76,22 +85,24 @@ export function forgetPhoto(file) {
  * @param {{ name: string, about: About, order: JobOrder, capture: string }} told `capture`: its id, where the server has it already
  * @returns {Promise<string>} why that is impossible, as a sentence; '' where it is done
  */
-export const keepWhole = (files, { name, about, order, capture }) => inTurn(async () => {
-  Object.assign(kept, { ...about, state: 'waiting', name, order, capture });
-  const earlier = files.flatMap((file) => numbers.get(file) ?? []);
-  const added = files.filter((file) => !numbers.has(file)).map((file) => newFile(file, null));
-  const trouble = await attempt(added, (rows) => keepAlone(kept, rows, earlier));
-  if (trouble) kept.state = 'draft';
-  else await askForSync();
-  return trouble;
-});
+export const keepWhole = (files, { name, about, order, capture }) =>
+  inTurn(async () => {
+    Object.assign(kept, { ...about, state: 'waiting', name, order, capture });
+    const earlier = files.flatMap((file) => numbers.get(file) ?? []);
+    const added = files.filter((file) => !numbers.has(file)).map((file) => newFile(file, null));
+    const trouble = await attempt(added, (rows) => keepAlone(kept, rows, earlier));
+    if (trouble) kept.state = 'draft';
+    else await askForSync();
+    return trouble;
+  });
 
 /** Makes a draft again of a capture that waits: the person changes it, and nobody sends it meanwhile. */
-export const keepAsDraft = () => inTurn(async () => {
-  if (kept.state !== 'waiting') return;
-  kept.state = 'draft';
-  await keep(kept).catch(() => {}); // the next photo writes it too
-});
+export const keepAsDraft = () =>
+  inTurn(async () => {
+    if (kept.state !== 'waiting') return;
+    kept.state = 'draft';
+    await keep(kept).catch(() => {}); // the next photo writes it too
+  });
 
 /**
  * Sends the capture from this page, unless the service worker has sent it meanwhile, and forgets it on the device.
@@ -99,31 +110,35 @@ export const keepAsDraft = () => inTurn(async () => {
  * @param {() => Promise<T>} work
  * @returns {Promise<T | string>} what the work gives, or the id of the job that is there already
  */
-export const sendOnce = (work) => exclusively(async () => {
-  const now = await inTurn(() => readKept(kept.id)).catch(() => undefined);
-  const sent = now?.state === 'sent' ? now.job : await work();
-  await inTurn(() => forget(kept.id).catch(() => {})); // before anybody else may send: what still waits would be sent again
-  return sent;
-});
+export const sendOnce = (work) =>
+  exclusively(async () => {
+    const now = await inTurn(() => readKept(kept.id)).catch(() => undefined);
+    const sent = now?.state === 'sent' ? now.job : await work();
+    await inTurn(() => forget(kept.id).catch(() => {})); // before anybody else may send: what still waits would be sent again
+    return sent;
+  });
 
 /**
  * Goes on with a draft that was kept earlier, or with what was refused. Its photos now belong to what this page makes.
  * @param {KeptCapture} draft
  * @returns {Promise<{ file: File, heading: number | null }[]>} its photos
  */
-export const goOnWith = (draft) => inTurn(async () => {
-  const files = await readKeptFiles(draft.id);
-  kept = { ...draft, adds: continued.adds, name: continued.name || draft.name };
-  if (draft.state === 'refused') Object.assign(kept, { state: 'draft', jobKey: randomKey(), upload: '', capture: '', trouble: '' });
-  await keep(kept).catch(() => {}); // the next photo writes it too
-  numbers.clear();
-  return files.map(({ number, path, body, lastModified, heading }) => {
-    const file = new File([body], path, { type: body.type, lastModified });
-    numbers.set(file, number);
-    lastNumber = Math.max(lastNumber, number);
-    return { file, heading };
+export const goOnWith = (draft) =>
+  inTurn(async () => {
+    const files = await readKeptFiles(draft.id);
+    kept = { ...draft, adds: continued.adds, name: continued.name || draft.name };
+    if (draft.state === 'refused') {
+      Object.assign(kept, { state: 'draft', jobKey: randomKey(), upload: '', capture: '', trouble: '' });
+    }
+    await keep(kept).catch(() => {}); // the next photo writes it too
+    numbers.clear();
+    return files.map(({ number, path, body, lastModified, heading }) => {
+      const file = new File([body], path, { type: body.type, lastModified });
+      numbers.set(file, number);
+      lastNumber = Math.max(lastNumber, number);
+      return { file, heading };
+    });
   });
-});
 
 /**
  * @param {File} file
@@ -132,7 +147,10 @@ export const goOnWith = (draft) => inTurn(async () => {
  */
 function newFile(file, heading) {
   lastNumber += 1;
-  return [file, { id: kept.id, number: lastNumber, path: pathOf(file), lastModified: file.lastModified, heading, body: file }];
+  return [
+    file,
+    { id: kept.id, number: lastNumber, path: pathOf(file), lastModified: file.lastModified, heading, body: file },
+  ];
 }
 
 /**
@@ -153,7 +171,9 @@ async function attempt(files, write) {
 /** @param {unknown} error */
 function reasonOf(error) {
   const full = error instanceof DOMException && error.name === 'QuotaExceededError';
-  const reason = full ? t('This device has no room for it.') : t('This browser keeps nothing on the device here; a private window never does.');
+  const reason = full
+    ? t('This device has no room for it.')
+    : t('This browser keeps nothing on the device here; a private window never does.');
   return `${reason} ${t('It is in this page only: leave the page open until it is sent.')}`;
 }
 

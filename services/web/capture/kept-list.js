@@ -43,7 +43,9 @@ async function sendAll() {
   try {
     await sendKept((capture, fraction) => {
       const text = document.getElementById(`kept-${capture.id}`);
-      if (text) text.textContent = `${capture.name}: ${t('{percent} % sent', { percent: Math.round(100 * fraction) })}.`;
+      if (text) {
+        text.textContent = `${capture.name}: ${t('{percent} % sent', { percent: Math.round(100 * fraction) })}.`;
+      }
     });
   } catch (error) {
     page.trouble.textContent = sentences(error);

@@ -16,7 +16,12 @@ const page = {
 /** @type {{ kept: string, name: string, other: Cut, offer: string }[]} */
 const CUTS = [
   { kept: 'object', name: t('the object in the middle'), other: 'scene', offer: t('Keep everything that was seen') },
-  { kept: 'scene', name: t('everything that was seen'), other: 'object', offer: t('Keep only the object in the middle') },
+  {
+    kept: 'scene',
+    name: t('everything that was seen'),
+    other: 'object',
+    offer: t('Keep only the object in the middle'),
+  },
 ];
 
 /** @type {() => void} */
@@ -32,7 +37,10 @@ export function showCut(job, capture) {
   const choice = CUTS.find(({ kept }) => kept === cut?.kept);
   page.section.hidden = !cut || !choice;
   if (!cut || !choice) return;
-  page.kept.textContent = t('What was kept: {what}; {because}.', { what: choice.name, because: stored(cut.because, cut.because_i18n) }); // a doubt stands among the warnings
+  page.kept.textContent = t('What was kept: {what}; {because}.', {
+    what: choice.name,
+    because: stored(cut.because, cut.because_i18n),
+  }); // a doubt stands among the warnings
   page.button.textContent = choice.offer;
   recut = () => repeatJob(job, choice.other);
 }

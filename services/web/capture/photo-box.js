@@ -10,11 +10,18 @@ import { t } from '../shared/texts.js';
 const RETRY_MS = 10_000; // until the next look, where the workers are busy: each sends the photo again
 const LEAST_SIDE = 0.02; // of the photo: less is a tap, which takes the rectangle away
 const KEY_STEP = 0.02; // of the photo, for each press of an arrow key
-const LATER = t('The outline cannot be shown now. The server looks for the object later, in the rectangle if you draw one.');
+const LATER = t(
+  'The outline cannot be shown now. The server looks for the object later, in the rectangle if you draw one.',
+);
 /** @type {PhotoBox} */
 const FIRST_BOX = [0.25, 0.25, 0.75, 0.75]; // where a rectangle begins that is moved by keys
 /** @type {Record<string, [across: number, down: number]>} */
-const ARROWS = { ArrowLeft: [-KEY_STEP, 0], ArrowRight: [KEY_STEP, 0], ArrowUp: [0, -KEY_STEP], ArrowDown: [0, KEY_STEP] };
+const ARROWS = {
+  ArrowLeft: [-KEY_STEP, 0],
+  ArrowRight: [KEY_STEP, 0],
+  ArrowUp: [0, -KEY_STEP],
+  ArrowDown: [0, KEY_STEP],
+};
 
 const page = {
   section: element('which', HTMLElement),
@@ -65,7 +72,7 @@ async function lookAgain() {
   drawOutline([]);
   document.body.dataset.outlined = '';
   page.note.textContent = t('Looking for the object …');
-  const text = await findOutline(file, request).catch((error) => isConnectionProblem(error) ? '' : sentences(error));
+  const text = await findOutline(file, request).catch((error) => (isConnectionProblem(error) ? '' : sentences(error)));
   if (request !== lastRequest) return;
   page.note.textContent = text || LATER;
   if (text) document.body.dataset.outlined = String(request);
@@ -83,7 +90,9 @@ async function findOutline(photo, request) {
   const { inspected, outline } = await outlinePhoto(photo, box);
   if (!inspected) return '';
   if (request === lastRequest) drawOutline(outline);
-  return box ? t('This will be made into a mesh.') : t('This will be made into a mesh. Is it not the object? Draw a rectangle around the object, on the photo.');
+  return box
+    ? t('This will be made into a mesh.')
+    : t('This will be made into a mesh. Is it not the object? Draw a rectangle around the object, on the photo.');
 }
 
 // ---- drawing --------------------------------------------------------------------------------------------------------
@@ -160,8 +169,14 @@ function changeByKey(event) {
   const [across, down] = ARROWS[event.key];
   const [left, top, right, bottom] = box ?? FIRST_BOX;
   /** @type {PhotoBox} */
-  const moved = event.shiftKey ? [left, top, right + across, bottom + down] : [left + across, top + down, right + across, bottom + down];
-  const fits = Math.min(...moved) >= 0 && Math.max(...moved) <= 1 && moved[2] - moved[0] >= LEAST_SIDE && moved[3] - moved[1] >= LEAST_SIDE;
+  const moved = event.shiftKey
+    ? [left, top, right + across, bottom + down]
+    : [left + across, top + down, right + across, bottom + down];
+  const fits =
+    Math.min(...moved) >= 0 &&
+    Math.max(...moved) <= 1 &&
+    moved[2] - moved[0] >= LEAST_SIDE &&
+    moved[3] - moved[1] >= LEAST_SIDE;
   setBox(fits ? moved : [left, top, right, bottom]);
 }
 

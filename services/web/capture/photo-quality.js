@@ -9,7 +9,12 @@ const BLUR_PX = 4; // 1 sigma of the blur that sharpness is measured against
 const FLAT = 0.1; // (grey steps per pixel)² left after that blur: a bare wall, which cannot be sharp
 const TURN_MS = 10; // of computing without a pause, for browsers in which this runs on the page's own thread
 /** @type {Pair[]} */
-const DIRECTIONS = [[0, 1], [1, 0], [1, 1], [1, -1]]; // [down, across] in pixels: motion blur takes detail away in one of them
+const DIRECTIONS = [
+  [0, 1],
+  [1, 0],
+  [1, 1],
+  [1, -1],
+]; // [down, across] in pixels: motion blur takes detail away in one of them
 const DARK = [16, 40]; // luma: the median and the 95th percentile of a photo that is almost black
 const WHITE = 245; // luma that has hardly any detail; JPEG varies around pure white
 const COPY_BITS = 8; // of the 64 in the hash that may differ in a copy
@@ -106,7 +111,11 @@ function draw(bitmap, longest, createCanvas) {
 function toJpeg(canvas) {
   if (canvas.convertToBlob) return canvas.convertToBlob({ type: 'image/jpeg', quality: 0.7 });
   return new Promise((resolve, reject) => {
-    canvas.toBlob?.((blob) => (blob ? resolve(blob) : reject(new Error('This browser cannot encode a JPEG.'))), 'image/jpeg', 0.7);
+    canvas.toBlob?.(
+      (blob) => (blob ? resolve(blob) : reject(new Error('This browser cannot encode a JPEG.'))),
+      'image/jpeg',
+      0.7,
+    );
   });
 }
 
@@ -125,7 +134,14 @@ async function measure({ data, width, height }) {
   await pause();
   const smooth = await blur(luma, width, height);
   await pause();
-  return { dark, white, cells, deviation: standardDeviation(cells), hash, sharpness: sharpnessOf(luma, smooth, width, height) };
+  return {
+    dark,
+    white,
+    cells,
+    deviation: standardDeviation(cells),
+    hash,
+    sharpness: sharpnessOf(luma, smooth, width, height),
+  };
 }
 
 /** Lets the browser do other work. */
@@ -137,7 +153,9 @@ const pause = () => new Promise((resolve) => setTimeout(resolve));
  */
 export function lumaOf(rgba) {
   const luma = new Float32Array(rgba.length / 4);
-  for (let at = 0; at < luma.length; at++) luma[at] = 0.299 * rgba[4 * at] + 0.587 * rgba[4 * at + 1] + 0.114 * rgba[4 * at + 2];
+  for (let at = 0; at < luma.length; at++) {
+    luma[at] = 0.299 * rgba[4 * at] + 0.587 * rgba[4 * at + 1] + 0.114 * rgba[4 * at + 2];
+  }
   return luma;
 }
 
@@ -211,7 +229,9 @@ function differenceHash(luma, width, height) {
   const cells = averageCells(luma, width, height, 9, 8);
   return Array.from({ length: 8 }, (_, row) => {
     let bits = 0;
-    for (let column = 0; column < 8; column++) bits = (bits << 1) | Number(cells[row * 9 + column + 1] > cells[row * 9 + column]);
+    for (let column = 0; column < 8; column++) {
+      bits = (bits << 1) | Number(cells[row * 9 + column + 1] > cells[row * 9 + column]);
+    }
     return bits;
   });
 }
@@ -224,7 +244,9 @@ function differenceHash(luma, width, height) {
  */
 async function blur(luma, width, height) {
   const reach = 3 * BLUR_PX;
-  const weights = Array.from({ length: 2 * reach + 1 }, (_, place) => Math.exp(-((place - reach) ** 2) / (2 * BLUR_PX ** 2)));
+  const weights = Array.from({ length: 2 * reach + 1 }, (_, place) =>
+    Math.exp(-((place - reach) ** 2) / (2 * BLUR_PX ** 2)),
+  );
   const sum = weights.reduce((total, weight) => total + weight, 0);
   const kernel = Float32Array.from(weights, (weight) => weight / sum);
   const rows = await convolve(luma, { length: width, lines: height, along: 1, between: width }, kernel);
@@ -305,7 +327,10 @@ export function differenceOf(one, other) {
  * @param {number} difference of the two
  */
 export function isCopy(one, other, difference) {
-  return difference <= COPY_DIFFERENCE && one.hash.reduce((count, byte, row) => count + bitCount(byte ^ other.hash[row]), 0) <= COPY_BITS;
+  return (
+    difference <= COPY_DIFFERENCE &&
+    one.hash.reduce((count, byte, row) => count + bitCount(byte ^ other.hash[row]), 0) <= COPY_BITS
+  );
 }
 
 /** @param {number} byte */

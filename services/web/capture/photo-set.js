@@ -57,7 +57,9 @@ export function findFaults(photos) {
     if (fault) faults.set(photo.file, fault);
   }
   const rest = photos.filter(({ file }) => !faults.has(file));
-  for (const { file } of findBlurred(rest)) faults.set(file, t('Blurred, next to the others. Hold still, or use more light.'));
+  for (const { file } of findBlurred(rest)) {
+    faults.set(file, t('Blurred, next to the others. Hold still, or use more light.'));
+  }
   return faults;
 }
 
@@ -67,9 +69,13 @@ export function findFaults(photos) {
  */
 function faultOf({ quality, differences }, earlier) {
   if (quality.dark) return t('Almost black. Take it again with more light.');
-  if (quality.white > MOST_WHITE) return t('More than half of it is plain white. Use less light, or tap on the object before you take it.');
+  if (quality.white > MOST_WHITE) {
+    return t('More than half of it is plain white. Use less light, or tap on the object before you take it.');
+  }
   const original = earlier.find((other) => isCopy(quality, other.quality, differences.get(other.file) ?? Infinity));
-  return original ? t('Shows the same as {name}. Take a step to the side between photos.', { name: original.file.name }) : '';
+  return original
+    ? t('Shows the same as {name}. Take a step to the side between photos.', { name: original.file.name })
+    : '';
 }
 
 /**
@@ -77,10 +83,15 @@ function faultOf({ quality, differences }, earlier) {
  * @param {MeasuredPhoto[]} photos
  */
 function findBlurred(photos) {
-  const compared = photos.flatMap((photo) => (photo.quality.sharpness ? [{ photo, sharpness: photo.quality.sharpness }] : []));
+  const compared = photos.flatMap((photo) =>
+    photo.quality.sharpness ? [{ photo, sharpness: photo.quality.sharpness }] : [],
+  );
   if (compared.length === 0) return [];
   const usual = [0, 1, 2, 3].map((place) => median(compared.map(({ sharpness }) => sharpness[place])));
-  const shares = compared.map(({ photo, sharpness }) => ({ photo, share: Math.min(...sharpness.map((value, place) => value / usual[place])) }));
+  const shares = compared.map(({ photo, sharpness }) => ({
+    photo,
+    share: Math.min(...sharpness.map((value, place) => value / usual[place])),
+  }));
   shares.sort((one, other) => one.share - other.share);
   const worst = shares.slice(0, Math.floor(MOST_BLURRED * photos.length));
   return worst.filter(({ share }) => share < BLURRED).map(({ photo }) => photo);
@@ -104,7 +115,9 @@ export function coverageOf(photos) {
   const rest = photos.length - headings.length;
   return {
     arcs,
-    sentence: (degrees) => t('About {degrees} seen, by the compass.', { degrees }) + (rest ? ` ${t('Not counted, for they have no direction: {count}.', { count: rest })}` : ''),
+    sentence: (degrees) =>
+      t('About {degrees} seen, by the compass.', { degrees }) +
+      (rest ? ` ${t('Not counted, for they have no direction: {count}.', { count: rest })}` : ''),
   };
 }
 
@@ -117,10 +130,17 @@ function coverageByDifferences(photos) {
     const nearest = Math.min(...photos.slice(0, place).map(({ file }) => differences.get(file) ?? Infinity));
     return STEP * Math.min(1, nearest / FULL_STEP);
   });
-  const sum = Math.min(360, steps.reduce((total, step) => total + step, 0));
+  const sum = Math.min(
+    360,
+    steps.reduce((total, step) => total + step, 0),
+  );
   return {
     arcs: [[0, sum]],
-    sentence: (degrees) => t('Up to about {degrees} seen: a guess from how much the photos change, for this page cannot see where you stood.', { degrees }),
+    sentence: (degrees) =>
+      t(
+        'Up to about {degrees} seen: a guess from how much the photos change, for this page cannot see where you stood.',
+        { degrees },
+      ),
   };
 }
 
@@ -131,8 +151,12 @@ function coverageByDifferences(photos) {
  */
 function mergeArcs(arcs) {
   /** @type {Arc[]} */
-  const turns = arcs.flatMap(([from, to]) => [0, 360, -360].map((turn) => /** @type {Arc} */ ([from + turn, to + turn])));
-  const inside = turns.map(([from, to]) => /** @type {Arc} */ ([Math.max(0, from), Math.min(360, to)])).filter(([from, to]) => from < to);
+  const turns = arcs.flatMap(([from, to]) =>
+    [0, 360, -360].map((turn) => /** @type {Arc} */ ([from + turn, to + turn])),
+  );
+  const inside = turns
+    .map(([from, to]) => /** @type {Arc} */ ([Math.max(0, from), Math.min(360, to)]))
+    .filter(([from, to]) => from < to);
   /** @type {Arc[]} */
   const merged = [];
   for (const [from, to] of inside.sort(([one], [other]) => one - other)) {

@@ -24,9 +24,10 @@ export function showVerdicts(details, { photos: verdicts = [], format } = {}) {
   const rejected = verdicts.filter(({ verdict }) => verdict !== 'ok');
   const used = verdicts.filter(({ verdict }) => verdict === 'ok');
   details.hidden = verdicts.length === 0;
-  child(details, 'summary', HTMLElement).textContent = format === 'video'
-    ? t('Used {count} of {total} pictures of the video', { count: used.length, total: verdicts.length })
-    : t('Used {count} of {total} photos', { count: used.length, total: verdicts.length });
+  child(details, 'summary', HTMLElement).textContent =
+    format === 'video'
+      ? t('Used {count} of {total} pictures of the video', { count: used.length, total: verdicts.length })
+      : t('Used {count} of {total} photos', { count: used.length, total: verdicts.length });
   child(details, 'ul', HTMLUListElement).replaceChildren(...[...rejected, ...used].map(verdictItem));
 }
 
@@ -34,7 +35,10 @@ export function showVerdicts(details, { photos: verdicts = [], format } = {}) {
 function verdictItem({ name, verdict, advice, advice_i18n: code }) {
   const item = create('li');
   item.dataset.verdict = verdict;
-  item.append(create('strong', { textContent: name }), ` ${REASONS[verdict] ?? verdict}${advice ? `. ${stored(advice, code)}` : ''}`);
+  item.append(
+    create('strong', { textContent: name }),
+    ` ${REASONS[verdict] ?? verdict}${advice ? `. ${stored(advice, code)}` : ''}`,
+  );
   return item;
 }
 
@@ -45,5 +49,8 @@ function verdictItem({ name, verdict, advice, advice_i18n: code }) {
  */
 export function showUnseenSides(details, { unseen: sides = [] } = {}) {
   details.hidden = sides.length === 0;
-  fillList(child(details, 'ul', HTMLUListElement), sides.map(({ advice, advice_i18n: code }) => stored(advice, code)));
+  fillList(
+    child(details, 'ul', HTMLUListElement),
+    sides.map(({ advice, advice_i18n: code }) => stored(advice, code)),
+  );
 }

@@ -149,7 +149,9 @@ async function showManifest(job, entry) {
   const rows = FIGURES.filter(([key]) => columns.some(([, figures]) => typeof figures[key] === 'number'));
   page.figures.replaceChildren(
     createRow(['', ...columns.map(([title]) => title)]),
-    ...rows.map(([key, label, format]) => createRow([label, ...columns.map(([, figures]) => figureText(figures[key], format))])),
+    ...rows.map(([key, label, format]) =>
+      createRow([label, ...columns.map(([, figures]) => figureText(figures[key], format))]),
+    ),
   );
   page.certificate.hidden = rows.length === 0;
 }

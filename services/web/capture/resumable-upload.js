@@ -41,11 +41,13 @@ export async function sendCapture(files, name, about, progress) {
   const fingerprint = JSON.stringify(files.map((file) => [pathOf(file), file.size, file.lastModified]));
   const stored = await defaultOptions.urlStorage.findUploadsByFingerprint(fingerprint);
   const filetype = stored[0]?.metadata.filetype ?? newFiletype();
-  const url = await persist(progress, (onProgress) => sendRest(Upload, formOf(files.map(partOf), filetype), {
-    fingerprint: async () => fingerprint,
-    metadata: { name, filetype, filename: pathOf(files[0]) },
-    onProgress,
-  }));
+  const url = await persist(progress, (onProgress) =>
+    sendRest(Upload, formOf(files.map(partOf), filetype), {
+      fingerprint: async () => fingerprint,
+      metadata: { name, filetype, filename: pathOf(files[0]) },
+      onProgress,
+    }),
+  );
   const forget = async () => {
     const entries = await defaultOptions.urlStorage.findUploadsByFingerprint(fingerprint);
     await Promise.all(entries.map((entry) => defaultOptions.urlStorage.removeUpload(entry.urlStorageKey)));
@@ -69,7 +71,9 @@ export function unfinishedFiles() {
     const keys = Object.keys(localStorage).filter((key) => key.startsWith(STORED));
     /** @type {{ creationTime: string, metadata: Record<string, string> }[]} */
     const entries = keys.map((key) => JSON.parse(localStorage.getItem(key) ?? 'null'));
-    return entries.filter((each) => Date.now() - Date.parse(each?.creationTime) < KEPT_MS).map((each) => each.metadata.filename);
+    return entries
+      .filter((each) => Date.now() - Date.parse(each?.creationTime) < KEPT_MS)
+      .map((each) => each.metadata.filename);
   } catch {
     return []; // no storage, or somebody else's entries
   }
@@ -104,15 +108,16 @@ async function persist({ onProgress, onWaiting }, work) {
 }
 
 /** Waits a moment, or until the device is online again. */
-const pause = () => new Promise((resolve) => {
-  const timer = setTimeout(done, UPLOAD_PAUSE_MS);
-  function done() {
-    clearTimeout(timer);
-    window.removeEventListener('online', done);
-    resolve(undefined);
-  }
-  window.addEventListener('online', done);
-});
+const pause = () =>
+  new Promise((resolve) => {
+    const timer = setTimeout(done, UPLOAD_PAUSE_MS);
+    function done() {
+      clearTimeout(timer);
+      window.removeEventListener('online', done);
+      resolve(undefined);
+    }
+    window.addEventListener('online', done);
+  });
 
 /**
  * Send what the server does not have of a body.

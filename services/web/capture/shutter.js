@@ -28,7 +28,14 @@ const RETRY_MS = 1500; // after a photo that was refused, for the person to read
  */
 
 /** @returns {Shutter} before the first photo */
-export const newShutter = () => ({ stillMs: 0, waitMs: 0, first: true, photoHeading: null, heading: null, cue: 'hold' });
+export const newShutter = () => ({
+  stillMs: 0,
+  waitMs: 0,
+  first: true,
+  photoHeading: null,
+  heading: null,
+  cue: 'hold',
+});
 
 /**
  * The shutter after one more frame.
@@ -38,7 +45,12 @@ export const newShutter = () => ({ stillMs: 0, waitMs: 0, first: true, photoHead
  */
 export function afterFrame(shutter, { ms, heading, motion }) {
   const still = ms < LATE_MS && isStill(motion.since, ms);
-  const next = { ...shutter, heading, stillMs: still ? shutter.stillMs + ms : 0, waitMs: Math.max(0, shutter.waitMs - ms) };
+  const next = {
+    ...shutter,
+    heading,
+    stillMs: still ? shutter.stillMs + ms : 0,
+    waitMs: Math.max(0, shutter.waitMs - ms),
+  };
   return { ...next, cue: cueOf(next, motion) };
 }
 
@@ -47,7 +59,14 @@ export function afterFrame(shutter, { ms, heading, motion }) {
  * @param {Shutter} shutter
  * @returns {Shutter}
  */
-export const afterPhoto = (shutter) => ({ ...shutter, first: false, stillMs: 0, waitMs: 0, photoHeading: shutter.heading, cue: 'move' });
+export const afterPhoto = (shutter) => ({
+  ...shutter,
+  first: false,
+  stillMs: 0,
+  waitMs: 0,
+  photoHeading: shutter.heading,
+  cue: 'move',
+});
 
 /**
  * The shutter after a photo that was refused: it is taken again.

@@ -67,7 +67,11 @@ async function save({ url, title, file }, said) {
  */
 export async function untilMade(url) {
   for (;;) {
-    const { response, bytes } = await fetchBytes(url, { redirect: 'manual', cache: 'no-store', silenceMs: DOWNLOAD_ANSWER_MS });
+    const { response, bytes } = await fetchBytes(url, {
+      redirect: 'manual',
+      cache: 'no-store',
+      silenceMs: DOWNLOAD_ANSWER_MS,
+    });
     if (response.type === 'opaqueredirect') return;
     if (response.status !== 202) {
       parseAnswer(response.status, new TextDecoder().decode(bytes));

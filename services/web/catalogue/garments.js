@@ -19,11 +19,13 @@ const SEASON_WORDS = {
   winter: /^winter/,
 };
 const WAIST_WORDS = /^(.*skirts?|(?!barock)\w*rocke?|trousers|pants|jeans|shorts|leggings|chinos|culottes|\w*hosen?)$/;
-const SHOULDER_WORDS = /^(dress|dresses|gown|tunic|.*shirts?|blouses?|sweaters?|jumpers?|pullover|hoodies?|cardigan|jackets?|\w*coats?|suit|(jump|play|boiler)suits?|rompers?|dungarees|\w*overalls?|kimonos?|vests?|ponchos?|capes?|top|\w*kleid(er)?|\w*hemd(en)?|\w*blusen?|\w*jacken?|\w*mantel|\w*westen?|\w*anzug|latzhosen?)$/;
+const SHOULDER_WORDS =
+  /^(dress|dresses|gown|tunic|.*shirts?|blouses?|sweaters?|jumpers?|pullover|hoodies?|cardigan|jackets?|\w*coats?|suit|(jump|play|boiler)suits?|rompers?|dungarees|\w*overalls?|kimonos?|vests?|ponchos?|capes?|top|\w*kleid(er)?|\w*hemd(en)?|\w*blusen?|\w*jacken?|\w*mantel|\w*westen?|\w*anzug|latzhosen?)$/;
 const CLOTHES_WORDS = /^(garments?|clothes|clothing|wardrobe|outfit|fashion|kleidung|garderobe|kleiderschrank)$/;
 const MONTHS_BEFORE_SPRING = 2; // seasons of meteorologists: spring begins with March
 // Time zones south of the equator whose winter is in July. Where none of them is told, it is the north.
-const SOUTH = /^(Australia|Antarctica|America\/Argentina)\/|^America\/(Asuncion|Buenos_Aires|Montevideo|Punta_Arenas|Santiago|Sao_Paulo)$|^Africa\/(Gaborone|Johannesburg|Maseru|Mbabane|Windhoek)$|^Pacific\/(Auckland|Chatham)$/;
+const SOUTH =
+  /^(Australia|Antarctica|America\/Argentina)\/|^America\/(Asuncion|Buenos_Aires|Montevideo|Punta_Arenas|Santiago|Sao_Paulo)$|^Africa\/(Gaborone|Johannesburg|Maseru|Mbabane|Windhoek)$|^Pacific\/(Auckland|Chatham)$/;
 
 /**
  * The season of a day: three whole months each, spring from March on, in the south from September on.
@@ -66,7 +68,9 @@ export function hangingOf({ label, labels }) {
  */
 export function chooseGarments(things, choice) {
   const found = things.filter((thing) => thing.state !== 'removed' && isChosen(thing, choice));
-  return found.sort((one, other) => one.label.localeCompare(other.label, undefined, { numeric: true, sensitivity: 'base' }));
+  return found.sort((one, other) =>
+    one.label.localeCompare(other.label, undefined, { numeric: true, sensitivity: 'base' }),
+  );
 }
 
 /**
@@ -87,7 +91,9 @@ function isChosen(thing, choice) {
 export function otherLabels(things) {
   const labels = things.filter(({ state }) => state !== 'removed').flatMap((thing) => thing.labels);
   const others = labels.filter((label) => seasonsOf({ labels: [label] }).length === 0);
-  return [...new Map(others.map((label) => [simplify(label), label])).values()].sort((one, other) => one.localeCompare(other));
+  return [...new Map(others.map((label) => [simplify(label), label])).values()].sort((one, other) =>
+    one.localeCompare(other),
+  );
 }
 
 /** @param {string[]} texts */

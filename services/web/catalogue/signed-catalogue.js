@@ -24,11 +24,17 @@ export async function checkEntry(entry) {
   const keys = await loadKeys();
   if (!keys.length || !crypto.subtle) return entry;
   const [name] = entry.collections ?? ['default']; // none: the person may read none that lists it
-  const { collection, row } = name ? await withNewest(name, async (index) => ({ collection: index, row: await findRow(index, entry.key) })) : {};
+  const { collection, row } = name
+    ? await withNewest(name, async (index) => ({ collection: index, row: await findRow(index, entry.key) }))
+    : {};
   if (!row && entry.proof) return checkProof(entry, entry.proof, keys);
   if (!collection || !row || row.state === 'removed' || toHex(row.manifest) !== entry.manifest.sha256) {
     // A new version is in its entry a moment before it is in the collection.
-    throw new Problem({ code: 'CATALOGUE_BEHIND', detail: t('This version is not in the signed catalogue yet.'), hints: [t('Wait a moment.')] });
+    throw new Problem({
+      code: 'CATALOGUE_BEHIND',
+      detail: t('This version is not in the signed catalogue yet.'),
+      hints: [t('Wait a moment.')],
+    });
   }
   return withSignedHashes(entry, await loadManifest(collection, row));
 }
@@ -41,12 +47,19 @@ export async function checkEntry(entry) {
  * @returns {Promise<AssetEntry>}
  */
 async function checkProof(entry, proof, keys) {
-  if (!(await hasGoodSignature(proof, keys))) throw forged(t('This object is not signed by whom it should be, so it is not shown.'));
+  if (!(await hasGoodSignature(proof, keys))) {
+    throw forged(t('This object is not signed by whom it should be, so it is not shown.'));
+  }
   /** @type {AssetProof} */
   const { asset, version, manifest } = JSON.parse(proof.signed);
-  if (asset !== entry.key || manifest !== entry.manifest.sha256) throw forged(t('The server answered with the signature of something else.'));
+  if (asset !== entry.key || manifest !== entry.manifest.sha256) {
+    throw forged(t('The server answered with the signature of something else.'));
+  }
   rememberVersion(`${SEEN}asset:${asset}`, version);
-  return withSignedHashes(entry, decodeJson(await loadFile({ url: entry.manifest.url, sha256: manifest, file: 'manifest.json' })));
+  return withSignedHashes(
+    entry,
+    decodeJson(await loadFile({ url: entry.manifest.url, sha256: manifest, file: 'manifest.json' })),
+  );
 }
 
 /**
@@ -103,7 +116,9 @@ export async function loadRows(collection, shard) {
   const file = { url: new URL(shard.name, collection.base).href, sha256: shard.sha256, file: t('the catalogue') };
   /** @type {ShardDocument} */
   const { columns, words, rows } = decodeJson(await loadFile(file));
-  return rows.map((cells) => rowFrom(columns, words, cells)).filter(({ key, manifest }) => NAME.test(key) && HASH.test(manifest));
+  return rows
+    .map((cells) => rowFrom(columns, words, cells))
+    .filter(({ key, manifest }) => NAME.test(key) && HASH.test(manifest));
 }
 
 /**
@@ -175,7 +190,11 @@ function rememberVersion(item, version) {
   const key = ownNameOfShown(item);
   if (version < (Number(readItem(key)) || 0)) {
     const hints = [t('Somebody may want to show you what was taken back. Tell whoever runs this server.')];
-    throw new Problem({ code: 'CATALOGUE_OLDER', detail: t('The server shows an older catalogue than this device has seen.'), hints });
+    throw new Problem({
+      code: 'CATALOGUE_OLDER',
+      detail: t('The server shows an older catalogue than this device has seen.'),
+      hints,
+    });
   }
   writeItem(key, version);
 }

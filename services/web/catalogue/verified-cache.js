@@ -38,7 +38,12 @@ async function fetchFile(file) {
     if (isDamaged(response.status, bytes)) throw tampered(file);
     if (!response.ok) {
       const hints = [t('Try again later.')];
-      throw new Problem({ code: 'ASSET_ABSENT', status: response.status, detail: t('{file} is not where the catalogue says.', { file: file.file }), hints });
+      throw new Problem({
+        code: 'ASSET_ABSENT',
+        status: response.status,
+        detail: t('{file} is not where the catalogue says.', { file: file.file }),
+        hints,
+      });
     }
     if (await hasHash(bytes, file.sha256)) return bytes;
   }
@@ -66,7 +71,11 @@ function isDamaged(status, body) {
  */
 function tampered(file) {
   const hints = [t('It was changed on its way or at its place. Tell whoever runs this server.')];
-  return new Problem({ code: 'ASSET_TAMPERED', detail: t('{file} is not what the catalogue promises, so it is not shown.', { file: file.file }), hints });
+  return new Problem({
+    code: 'ASSET_TAMPERED',
+    detail: t('{file} is not what the catalogue promises, so it is not shown.', { file: file.file }),
+    hints,
+  });
 }
 
 /**

@@ -164,7 +164,12 @@ function createLabels({ labels }, onLabel) {
   if (labels.length === 0) return [];
   const line = create('p', { className: 'labels' });
   for (const label of labels.slice(0, SHOWN_LABELS)) {
-    const button = create('button', { type: 'button', dir: 'auto', textContent: label, title: t('Everything with the tag {label}', { label }) });
+    const button = create('button', {
+      type: 'button',
+      dir: 'auto',
+      textContent: label,
+      title: t('Everything with the tag {label}', { label }),
+    });
     button.addEventListener('click', () => onLabel(label));
     line.append(button);
   }

@@ -65,7 +65,9 @@ async function show() {
   page.retry.hidden = true;
   if (document.body.dataset.state === 'error') page.summary.textContent = t('Loading …');
   try {
-    const result = await withNewest(name, (collection) => search(collection, { words: query, ...readFilters() }, pageNumber));
+    const result = await withNewest(name, (collection) =>
+      search(collection, { words: query, ...readFilters() }, pageNumber),
+    );
     if (request === lastRequest) showResult(result);
   } catch (error) {
     if (request === lastRequest) showError(error);
@@ -93,7 +95,12 @@ function showResult({ rows, count, exact, collection }) {
   if (rows.some(hangingOf)) page.wardrobe.hidden = false;
   for (const item of cards.keys()) visibility.observe(item);
   const size = collection.shards.reduce((sum, shard) => sum + shard.count, 0);
-  page.summary.textContent = [notice, summarize(count, exact, size, { words: query, state: readFilters().state, limited: isLimited() })].filter(Boolean).join(' ');
+  page.summary.textContent = [
+    notice,
+    summarize(count, exact, size, { words: query, state: readFilters().state, limited: isLimited() }),
+  ]
+    .filter(Boolean)
+    .join(' ');
   notice = '';
   showPageNumber(exact ? Math.ceil(count / PER_PAGE) : null);
   shownVersion = collection.version;
@@ -105,7 +112,9 @@ function showResult({ rows, count, exact, collection }) {
 /** @param {number | null} pages null where it is not known how many there are */
 function showPageNumber(pages) {
   page.pages.hidden = pageNumber === 1 && pages !== null && pages <= 1;
-  page.pageNumber.textContent = pages ? t('Page {number} of {pages}', { number: pageNumber, pages }) : t('Page {number}', { number: pageNumber });
+  page.pageNumber.textContent = pages
+    ? t('Page {number} of {pages}', { number: pageNumber, pages })
+    : t('Page {number}', { number: pageNumber });
   setDisabled(page.previous, pageNumber === 1);
   setDisabled(page.next, pages !== null && pageNumber >= pages);
 }
@@ -228,7 +237,10 @@ function choose(key, yes) {
   showManaging(removed);
   page.open.hidden = removed;
   page.choice.hidden = count === 0;
-  page.choiceCount.textContent = count < MOST_CHOSEN ? t('{count} chosen', { count }) : t('{count} chosen, which is as many as a headset draws', { count });
+  page.choiceCount.textContent =
+    count < MOST_CHOSEN
+      ? t('{count} chosen', { count })
+      : t('{count} chosen, which is as many as a headset draws', { count });
   page.open.textContent = count === 1 ? t('Open it') : t('Open together');
   page.open.href = ofShownTenant(`/view?${new URLSearchParams([...chosenKeys].map((each) => ['key', each]))}`);
   return chosenKeys.has(key);

@@ -13,7 +13,9 @@ const buttons = {
   restore: element('restore', HTMLButtonElement),
   delete: element('delete', HTMLButtonElement),
 };
-const removedOption = /** @type {HTMLOptionElement} */ (element('state', HTMLSelectElement).querySelector('[value=removed]'));
+const removedOption = /** @type {HTMLOptionElement} */ (
+  element('state', HTMLSelectElement).querySelector('[value=removed]')
+);
 
 /** @type {Record<'remove' | 'restore' | 'delete', (asset: string) => Promise<unknown>>} */
 const ACTIONS = {
@@ -21,7 +23,11 @@ const ACTIONS = {
   restore: (asset) => postJson(`${asset}/restore`, {}),
   delete: (asset) => deleteAt(asset),
 };
-const SAID = { remove: t('removed; “Show: removed ones” has them'), restore: t('restored'), delete: t('deleted for good') };
+const SAID = {
+  remove: t('removed; “Show: removed ones” has them'),
+  restore: t('restored'),
+  delete: t('deleted for good'),
+};
 
 /**
  * Offers to manage things to somebody who may.

@@ -13,11 +13,16 @@ export async function listScenes(session) {
   if (!session?.scopes.includes('read')) return;
   const scenes = await loadScenes().catch(() => []);
   element('scenes', HTMLDetailsElement).hidden = scenes.length === 0;
-  element('scenes-list', HTMLElement).replaceChildren(...scenes.reverse().map(({ name, things, view }) => {
-    const item = create('li');
-    item.append(create('a', { href: view, textContent: name, dir: 'auto' }), ` ${things === 1 ? t('1 object') : t('{count} objects', { count: things })}`);
-    return item;
-  }));
+  element('scenes-list', HTMLElement).replaceChildren(
+    ...scenes.reverse().map(({ name, things, view }) => {
+      const item = create('li');
+      item.append(
+        create('a', { href: view, textContent: name, dir: 'auto' }),
+        ` ${things === 1 ? t('1 object') : t('{count} objects', { count: things })}`,
+      );
+      return item;
+    }),
+  );
 }
 
 async function loadScenes() {

@@ -100,7 +100,9 @@ async function searchByKey(collection, query, pageNumber) {
 async function rowsOf(collection, shard) {
   const rows = rowCache.get(shard.sha256) ?? (await loadRows(collection, shard));
   rowCache.set(shard.sha256, rows);
-  for (const sha256 of rowCache.keys()) if (!collection.shards.some((each) => each.sha256 === sha256)) rowCache.delete(sha256);
+  for (const sha256 of rowCache.keys()) {
+    if (!collection.shards.some((each) => each.sha256 === sha256)) rowCache.delete(sha256);
+  }
   return rows;
 }
 
@@ -132,5 +134,6 @@ function limitsFor({ since, until, least, most }) {
   const last = until ? new Date(`${until}T23:59:59.999`).getTime() / 1000 : Infinity;
   const [low, high] = [least ? Number(least) * MB : 0, most ? Number(most) * MB : Infinity];
   const sized = least || most;
-  return ({ updated, bytes }) => updated >= first && updated <= last && (!sized || (bytes > 0 && bytes >= low && bytes <= high));
+  return ({ updated, bytes }) =>
+    updated >= first && updated <= last && (!sized || (bytes > 0 && bytes >= low && bytes <= high));
 }

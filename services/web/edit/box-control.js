@@ -29,11 +29,13 @@ export function showSides(tool) {
  */
 export function startSides(tool, { onSwitch, onChange }) {
   page.on.addEventListener('change', () => onSwitch(page.on.checked));
-  sliders.forEach((slider, side) => slider.addEventListener('input', () => {
-    tool.moveTo(side, Number(slider.value));
-    slider.value = String(tool.share(side)); // it does not pass the one across
-    onChange();
-  }));
+  sliders.forEach((slider, side) =>
+    slider.addEventListener('input', () => {
+      tool.moveTo(side, Number(slider.value));
+      slider.value = String(tool.share(side)); // it does not pass the one across
+      onChange();
+    }),
+  );
 }
 
 /**
@@ -54,12 +56,16 @@ export function startDragging(tool, canvas, camera, controls, onChange) {
     return raycaster.ray;
   }
 
-  canvas.addEventListener('pointerdown', (event) => {
-    if (!event.isPrimary) return;
-    dragged = tool.hit(aim(event));
-    controls.enabled = dragged < 0;
-    if (dragged >= 0) canvas.setPointerCapture(event.pointerId);
-  }, true); // before the camera's controls
+  canvas.addEventListener(
+    'pointerdown',
+    (event) => {
+      if (!event.isPrimary) return;
+      dragged = tool.hit(aim(event));
+      controls.enabled = dragged < 0;
+      if (dragged >= 0) canvas.setPointerCapture(event.pointerId);
+    },
+    true,
+  ); // before the camera's controls
   canvas.addEventListener('pointermove', (event) => {
     if (dragged < 0 || !event.isPrimary) return;
     tool.drag(dragged, aim(event));

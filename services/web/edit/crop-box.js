@@ -24,7 +24,10 @@ export class CropBoxTool {
 
   constructor() {
     const cube = new THREE.BoxGeometry();
-    this.#edges = new THREE.LineSegments(new THREE.EdgesGeometry(cube), new THREE.LineBasicMaterial({ color: 0x2457d6 }));
+    this.#edges = new THREE.LineSegments(
+      new THREE.EdgesGeometry(cube),
+      new THREE.LineBasicMaterial({ color: 0x2457d6 }),
+    );
     this.#handles = [0, 1, 2, 3, 4, 5].map(createHandle);
     this.object.add(this.#edges, ...this.#handles);
     this.object.visible = false;
@@ -34,7 +37,11 @@ export class CropBoxTool {
   get box() {
     if (!this.object.visible) return null;
     const middle = this.#low.clone().add(this.#high).multiplyScalar(0.5);
-    return { middle: middle.applyQuaternion(this.#turn).add(this.#origin), turn: this.#turn.clone(), size: this.#high.clone().sub(this.#low) };
+    return {
+      middle: middle.applyQuaternion(this.#turn).add(this.#origin),
+      turn: this.#turn.clone(),
+      size: this.#high.clone().sub(this.#low),
+    };
   }
 
   /**
@@ -86,8 +93,13 @@ export class CropBoxTool {
   hit({ origin, direction }) {
     if (!this.object.visible) return -1;
     const distances = this.#handles.map((handle) => {
-      const sphere = new THREE.Sphere(handle.getWorldPosition(new THREE.Vector3()), TOUCH * handle.getWorldScale(new THREE.Vector3()).x);
-      return new THREE.Ray(origin, direction).intersectSphere(sphere, new THREE.Vector3())?.distanceTo(origin) ?? Infinity;
+      const sphere = new THREE.Sphere(
+        handle.getWorldPosition(new THREE.Vector3()),
+        TOUCH * handle.getWorldScale(new THREE.Vector3()).x,
+      );
+      return (
+        new THREE.Ray(origin, direction).intersectSphere(sphere, new THREE.Vector3())?.distanceTo(origin) ?? Infinity
+      );
     });
     const nearest = Math.min(...distances);
     return Number.isFinite(nearest) ? distances.indexOf(nearest) : -1;
@@ -159,5 +171,7 @@ function createHandle(side) {
 
 /** @param {THREE.Box3} box */
 export function cornersOf({ min, max }) {
-  return [0, 1, 2, 3, 4, 5, 6, 7].map((each) => new THREE.Vector3(each & 1 ? max.x : min.x, each & 2 ? max.y : min.y, each & 4 ? max.z : min.z));
+  return [0, 1, 2, 3, 4, 5, 6, 7].map(
+    (each) => new THREE.Vector3(each & 1 ? max.x : min.x, each & 2 ? max.y : min.y, each & 4 ? max.z : min.z),
+  );
 }

@@ -5,8 +5,14 @@ import { materialsOf } from '../graphics/scene.js';
 /** @import { Box } from '../graphics/capture-frame.js' */
 
 const GHOST = new THREE.MeshBasicMaterial({
-  color: 0x808894, transparent: true, opacity: 0.1, depthWrite: false, side: THREE.DoubleSide,
-  polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 2, // behind what is kept, which lies at the same place
+  color: 0x808894,
+  transparent: true,
+  opacity: 0.1,
+  depthWrite: false,
+  side: THREE.DoubleSide,
+  polygonOffset: true,
+  polygonOffsetFactor: 2,
+  polygonOffsetUnits: 2, // behind what is kept, which lies at the same place
 });
 const COUNTED = 20_000; // most vertices that are asked whether they are kept, in every frame of a drag
 
@@ -16,11 +22,13 @@ const COUNTED = 20_000; // most vertices that are asked whether they are kept, i
  * @returns {THREE.Plane[]}
  */
 export function planesOf({ middle, turn, size }) {
-  return [0, 1, 2].flatMap((axis) => [1, -1].map((sign) => {
-    const outward = new THREE.Vector3().setComponent(axis, sign).applyQuaternion(turn);
-    const face = middle.clone().addScaledVector(outward, size.getComponent(axis) / 2);
-    return new THREE.Plane().setFromNormalAndCoplanarPoint(outward.negate(), face);
-  }));
+  return [0, 1, 2].flatMap((axis) =>
+    [1, -1].map((sign) => {
+      const outward = new THREE.Vector3().setComponent(axis, sign).applyQuaternion(turn);
+      const face = middle.clone().addScaledVector(outward, size.getComponent(axis) / 2);
+      return new THREE.Plane().setFromNormalAndCoplanarPoint(outward.negate(), face);
+    }),
+  );
 }
 
 /** Clips a thing's levels of detail, and counts what is left of the coarsest. */
@@ -88,14 +96,18 @@ export class CutPreview {
       for (const material of materialsOf(node)) if (material !== GHOST) material.clippingPlanes = this.world;
     });
     for (const ghost of this.#ghosts) ghost.visible = planes.length > 0 || this.#judge !== null;
-    const kept = this.#counted.filter((place, number) => !this.#out?.[number] && planes.every((plane) => plane.distanceToPoint(place) >= 0));
+    const kept = this.#counted.filter(
+      (place, number) => !this.#out?.[number] && planes.every((plane) => plane.distanceToPoint(place) >= 0),
+    );
     this.share = this.#counted.length ? kept.length / this.#counted.length : 1;
     return kept;
   }
 
   /** Forgets a thing that is no longer shown. */
   clear() {
-    for (const ghost of this.#ghosts) for (const copy of ghost.children) if (copy instanceof THREE.Mesh) copy.geometry.dispose();
+    for (const ghost of this.#ghosts) {
+      for (const copy of ghost.children) if (copy instanceof THREE.Mesh) copy.geometry.dispose();
+    }
     this.#counted = [];
     this.#ghosts = [];
     this.#surfaces.clear();
@@ -120,7 +132,12 @@ export class CutPreview {
       const { count } = node.geometry.getAttribute('position');
       const places = new Float32Array(3 * count);
       const place = new THREE.Vector3();
-      for (let number = 0; number < count; number += 1) node.getVertexPosition(number, place).applyMatrix4(matrix).toArray(places, 3 * number);
+      for (let number = 0; number < count; number += 1) {
+        node
+          .getVertexPosition(number, place)
+          .applyMatrix4(matrix)
+          .toArray(places, 3 * number);
+      }
       const whole = node.geometry.getIndex();
       const corners = Uint32Array.from(whole ? whole.array : Array.from({ length: count }, (_, number) => number));
       this.#surfaces.set(node.geometry, { places, corners, whole });
@@ -199,7 +216,9 @@ export function verticesOf(level, thing) {
     const matrix = inverse.clone().multiply(node.matrixWorld);
     const { count } = node.geometry.getAttribute('position');
     const step = Math.ceil(count / COUNTED);
-    for (let place = 0; place < count; place += step) found.push(node.getVertexPosition(place, new THREE.Vector3()).applyMatrix4(matrix));
+    for (let place = 0; place < count; place += step) {
+      found.push(node.getVertexPosition(place, new THREE.Vector3()).applyMatrix4(matrix));
+    }
   });
   return found;
 }

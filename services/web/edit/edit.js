@@ -134,7 +134,12 @@ function showPreview() {
   const left = preview.apply(shown.model.object, [...(kept ? planesOf(kept) : []), ...planes.planes]);
   const extent = new THREE.Box3().setFromPoints(left.map((place) => place.clone().applyQuaternion(root.quaternion)));
   const metres = extent.getSize(new THREE.Vector3()).multiplyScalar(size.factor);
-  page.said.textContent = left.length ? `${metres.toArray().map((side) => formatRounded(100 * side)).join(' × ')} cm` : t('Nothing of it is left.');
+  page.said.textContent = left.length
+    ? `${metres
+        .toArray()
+        .map((side) => formatRounded(100 * side))
+        .join(' × ')} cm`
+    : t('Nothing of it is left.');
   page.save.disabled = !(job && isChanged && left.length > 0 && !size.fault);
   page.recipe.href = `data:application/json,${encodeURIComponent(JSON.stringify(recipe(), null, 2))}`;
   Object.assign(document.body.dataset, { kept: preview.share.toFixed(3), changed: isChanged ? 'yes' : 'no' });
@@ -180,7 +185,12 @@ async function showPhotos(on) {
   photos?.close();
   if (!on || !shown) return;
   if (!job) throw notStored();
-  if (!session?.scopes.includes('manage')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Photos are shown only with an access key that may manage.') });
+  if (!session?.scopes.includes('manage')) {
+    throw new Problem({
+      code: 'SCOPE_MISSING',
+      detail: t('Photos are shown only with an access key that may manage.'),
+    });
+  }
   const { PhotoLassos: Tool } = await import('./photo-lassos.js');
   photos ??= new Tool((drawn) => {
     lassos = drawn;
@@ -196,7 +206,9 @@ async function previewLassos() {
   if (lassos.length === 0 && !lassoCut) return;
   const { drawnSince, LassoCut: Cut } = await import('./lasso-cut.js');
   const { surface } = preview;
-  if (!lassoCut && surface && drawnSince(shown.edits.lassos ?? [], lassos).length) lassoCut = Cut.load(shown.cameras, surface);
+  if (!lassoCut && surface && drawnSince(shown.edits.lassos ?? [], lassos).length) {
+    lassoCut = Cut.load(shown.cameras, surface);
+  }
   const [asked, cut] = [lassoCut, await lassoCut];
   if (asked !== lassoCut) return; // another version is shown
   const drawn = drawnSince(shown.edits.lassos ?? [], lassos);
@@ -233,10 +245,20 @@ async function open(version) {
   isChanged = false;
   page.label.textContent = newest.label || key;
   showRecipe(shown.edits);
-  controls.target.copy(frame(camera, shown.bounds.getSize(new THREE.Vector3()).toArray(), shown.bounds.getCenter(new THREE.Vector3())));
+  controls.target.copy(
+    frame(camera, shown.bounds.getSize(new THREE.Vector3()).toArray(), shown.bounds.getCenter(new THREE.Vector3())),
+  );
   const manages = Boolean(session?.scopes.includes('manage'));
-  showVersions(newest, shown.entry.version, manages, { onShow: guarded(open), onCompare: guarded(compare), onRestore: guarded(restore) });
-  Object.assign(document.body.dataset, { state: 'ready', version: String(newest.version), shown: String(shown.entry.version) });
+  showVersions(newest, shown.entry.version, manages, {
+    onShow: guarded(open),
+    onCompare: guarded(compare),
+    onRestore: guarded(restore),
+  });
+  Object.assign(document.body.dataset, {
+    state: 'ready',
+    version: String(newest.version),
+    shown: String(shown.entry.version),
+  });
 }
 
 /** @param {number} version to the right of the line */
@@ -247,7 +269,11 @@ async function compare(version) {
   preview.apply(shown.model.object, []);
   object.applyMatrix4(shown.frame.toAsset.clone().multiply(other.frame.toCapture)); // both in the frame of the capture
   root.add(object);
-  comparison.show(other.model, t('Version {version}', { version: shown.entry.version }), t('Version {version}', { version }));
+  comparison.show(
+    other.model,
+    t('Version {version}', { version: shown.entry.version }),
+    t('Version {version}', { version }),
+  );
   document.body.dataset.compared = String(version);
   redraw();
 }
@@ -276,7 +302,8 @@ async function save() {
  * @param {(version: number) => Promise<void>} action
  */
 function guarded(action) {
-  return (/** @type {number} */ version, /** @type {HTMLButtonElement} */ pressed) => attempt(page.trouble, () => action(version), pressed);
+  return (/** @type {number} */ version, /** @type {HTMLButtonElement} */ pressed) =>
+    attempt(page.trouble, () => action(version), pressed);
 }
 
 /** @param {unknown} error */
@@ -324,10 +351,14 @@ function startDrawing() {
 
 async function start() {
   session = await getJson('/v1/session');
-  if (!session?.scopes.includes('capture')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Editing needs an access key that may capture.') });
+  if (!session?.scopes.includes('capture')) {
+    throw new Problem({ code: 'SCOPE_MISSING', detail: t('Editing needs an access key that may capture.') });
+  }
   /** @type {Presets} */
   const { presets } = await getJson('/v1/presets');
-  element('preset', HTMLSelectElement).append(...presets.map(({ name, summary }) => create('option', { value: name, textContent: `${name}: ${summary}` })));
+  element('preset', HTMLSelectElement).append(
+    ...presets.map(({ name, summary }) => create('option', { value: name, textContent: `${name}: ${summary}` })),
+  );
   await open();
 }
 

@@ -17,10 +17,12 @@ const PRESENTED_MS = 3_000; // a page that is hidden is presented no frame
  * @returns {Picture[]}
  */
 export function keyFramesOf(names, films) {
-  return films.flatMap(({ name: film, url }) => names
-    .filter((name) => name.startsWith(`${film} at `) && /^\d+\.\d\d s$/.test(name.slice(film.length + 4)))
-    .map((name) => ({ name, url, seconds: parseFloat(name.slice(film.length + 4)) }))
-    .toSorted((a, b) => a.seconds - b.seconds));
+  return films.flatMap(({ name: film, url }) =>
+    names
+      .filter((name) => name.startsWith(`${film} at `) && /^\d+\.\d\d s$/.test(name.slice(film.length + 4)))
+      .map((name) => ({ name, url, seconds: parseFloat(name.slice(film.length + 4)) }))
+      .toSorted((a, b) => a.seconds - b.seconds),
+  );
 }
 
 /** A film, of which one frame at a time is shown. */
@@ -61,7 +63,10 @@ export class FilmFrames {
     await this.#until('seeked');
     await presented;
     const scale = Math.min(1, LONGEST_PX / Math.max(video.videoWidth, video.videoHeight));
-    [this.#canvas.width, this.#canvas.height] = [Math.round(scale * video.videoWidth), Math.round(scale * video.videoHeight)];
+    [this.#canvas.width, this.#canvas.height] = [
+      Math.round(scale * video.videoWidth),
+      Math.round(scale * video.videoHeight),
+    ];
     this.#canvas.getContext('2d')?.drawImage(video, 0, 0, this.#canvas.width, this.#canvas.height);
     /** @type {Blob | null} */
     const picture = await new Promise((resolve) => this.#canvas.toBlob(resolve, 'image/jpeg', QUALITY));
@@ -98,7 +103,9 @@ export class FilmFrames {
 
   #unreadable() {
     this.#url = '';
-    const detail = t('This browser cannot show the video that this picture is from. Try another browser, such as that of the phone that took it.');
+    const detail = t(
+      'This browser cannot show the video that this picture is from. Try another browser, such as that of the phone that took it.',
+    );
     return new Problem({ code: 'FILM_UNREADABLE', detail });
   }
 }

@@ -31,7 +31,9 @@ export class LassoCut {
   static async load(file, surface) {
     if (!file) return null;
     const cameras = await loadCameras(file);
-    return cameras.every(({ turns, part }) => turns !== undefined && part !== undefined) ? new LassoCut(cameras, surface) : null;
+    return cameras.every(({ turns, part }) => turns !== undefined && part !== undefined)
+      ? new LassoCut(cameras, surface)
+      : null;
   }
 
   /**
@@ -100,7 +102,7 @@ function isInside(x, y, line) {
   let odd = false;
   for (let corner = 0, before = line.length - 1; corner < line.length; before = corner, corner += 1) {
     const [[x0, y0], [x1, y1]] = [line[before], line[corner]];
-    if ((y0 > y) !== (y1 > y) && x < x0 + (x1 - x0) * ((y - y0) / (y1 - y0))) odd = !odd;
+    if (y0 > y !== y1 > y && x < x0 + (x1 - x0) * ((y - y0) / (y1 - y0))) odd = !odd;
   }
   return odd;
 }

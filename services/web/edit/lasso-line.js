@@ -53,9 +53,14 @@ export function closedLine(drawn) {
   const half = Math.floor(drawn.length / 2); // the two halves are thinned, as the line ends where it began
   let line = drawn;
   for (let distance = FINEST; line.length > MOST_CORNERS || line === drawn; distance *= 1.5) {
-    line = drawn.length < 8 ? [...drawn] : [...thin(drawn.slice(0, half + 1), distance).slice(0, -1), ...thin(drawn.slice(half), distance)];
+    line =
+      drawn.length < 8
+        ? [...drawn]
+        : [...thin(drawn.slice(0, half + 1), distance).slice(0, -1), ...thin(drawn.slice(half), distance)];
   }
-  const sides = [0, 1].map((axis) => Math.max(...line.map((corner) => corner[axis])) - Math.min(...line.map((corner) => corner[axis])));
+  const sides = [0, 1].map(
+    (axis) => Math.max(...line.map((corner) => corner[axis])) - Math.min(...line.map((corner) => corner[axis])),
+  );
   return line.length >= 3 && Math.min(...sides) >= LEAST_SIDE ? line : null;
 }
 
@@ -158,7 +163,12 @@ export class LassoLine {
     const { width, height } = this.#drawing.viewBox.baseVal;
     const [x, y] = [this.#cross[0] * width, this.#cross[1] * height];
     const arm = 0.03 * Math.max(width, height);
-    this.#mark.setAttribute('d', document.activeElement === this.#drawing && !this.#isDrawn ? `M${x - arm} ${y}H${x + arm}M${x} ${y - arm}V${y + arm}` : '');
+    this.#mark.setAttribute(
+      'd',
+      document.activeElement === this.#drawing && !this.#isDrawn
+        ? `M${x - arm} ${y}H${x + arm}M${x} ${y - arm}V${y + arm}`
+        : '',
+    );
     this.#path.setAttribute('d', pathOf(this.#corners, width, height, false));
     this.#onCorners(this.#isDrawn ? 0 : this.#corners.length);
   }

@@ -53,7 +53,9 @@ export class PhotoCamera {
       const [x, y, z] = this.#straight(places, place);
       seen.set([x * this.#columns, y * this.#rows, z], place);
     }
-    for (let corner = 0; corner < corners.length; corner += 3) this.#fill(depth, seen, 3 * corners[corner], 3 * corners[corner + 1], 3 * corners[corner + 2]);
+    for (let corner = 0; corner < corners.length; corner += 3) {
+      this.#fill(depth, seen, 3 * corners[corner], 3 * corners[corner + 1], 3 * corners[corner + 2]);
+    }
     this.#reach = widened(depth, this.#columns, this.#rows);
   }
 
@@ -79,8 +81,10 @@ export class PhotoCamera {
     const { size, camera, camera_to_world: rows } = this.#stored;
     // From Y up to Z up, and from the camera's place.
     const from = [places[at] - rows[0][3], -places[at + 2] - rows[1][3], places[at + 1] - rows[2][3]];
-    const [x, y, z] = [0, 1, 2].map((axis) => rows[0][axis] * from[0] + rows[1][axis] * from[1] + rows[2][axis] * from[2]);
-    return [(camera[0] * x / z + camera[2] + 0.5) / size[0], (camera[1] * y / z + camera[3] + 0.5) / size[1], z];
+    const [x, y, z] = [0, 1, 2].map(
+      (axis) => rows[0][axis] * from[0] + rows[1][axis] * from[1] + rows[2][axis] * from[2],
+    );
+    return [((camera[0] * x) / z + camera[2] + 0.5) / size[0], ((camera[1] * y) / z + camera[3] + 0.5) / size[1], z];
   }
 
   /**
@@ -89,14 +93,28 @@ export class PhotoCamera {
    * @param {number} y
    */
   #upright(x, y) {
-    const { size, camera: [fx, fy, cx, cy], distortion: [k1, k2, p1, p2, k3], turns, part: [left, top, right, bottom] } = this.#stored;
+    const {
+      size,
+      camera: [fx, fy, cx, cy],
+      distortion: [k1, k2, p1, p2, k3],
+      turns,
+      part: [left, top, right, bottom],
+    } = this.#stored;
     const [u, v] = [(x * size[0] - 0.5 - cx) / fx, (y * size[1] - 0.5 - cy) / fy];
     const r = u * u + v * v;
     const radial = 1 + r * (k1 + r * (k2 + r * k3));
-    const bent = [u * radial + 2 * p1 * u * v + p2 * (r + 2 * u * u), v * radial + p1 * (r + 2 * v * v) + 2 * p2 * u * v];
+    const bent = [
+      u * radial + 2 * p1 * u * v + p2 * (r + 2 * u * u),
+      v * radial + p1 * (r + 2 * v * v) + 2 * p2 * u * v,
+    ];
     const stored = [(fx * bent[0] + cx + 0.5) / size[0], (fy * bent[1] + cy + 0.5) / size[1]];
     const [across, down] = [left + stored[0] * (right - left), top + stored[1] * (bottom - top)];
-    const turned = [[across, down], [1 - down, across], [1 - across, 1 - down], [down, 1 - across]][turns];
+    const turned = [
+      [across, down],
+      [1 - down, across],
+      [1 - across, 1 - down],
+      [down, 1 - across],
+    ][turns];
     return { x: turned[0], y: turned[1] };
   }
 
@@ -113,12 +131,21 @@ export class PhotoCamera {
     const [ax, ay, bx, by, cx, cy] = [seen[a], seen[a + 1], seen[b], seen[b + 1], seen[c], seen[c + 1]];
     const area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
     if (area === 0) return;
-    const [left, right] = [Math.max(0, Math.floor(Math.min(ax, bx, cx))), Math.min(this.#columns - 1, Math.floor(Math.max(ax, bx, cx)))];
-    const [top, bottom] = [Math.max(0, Math.floor(Math.min(ay, by, cy))), Math.min(this.#rows - 1, Math.floor(Math.max(ay, by, cy)))];
+    const [left, right] = [
+      Math.max(0, Math.floor(Math.min(ax, bx, cx))),
+      Math.min(this.#columns - 1, Math.floor(Math.max(ax, bx, cx))),
+    ];
+    const [top, bottom] = [
+      Math.max(0, Math.floor(Math.min(ay, by, cy))),
+      Math.min(this.#rows - 1, Math.floor(Math.max(ay, by, cy))),
+    ];
     for (let row = top; row <= bottom; row += 1) {
       for (let column = left; column <= right; column += 1) {
         const [x, y] = [column + 0.5, row + 0.5];
-        const [ofB, ofC] = [((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area, ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area];
+        const [ofB, ofC] = [
+          ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area,
+          ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area,
+        ];
         if (ofB < 0 || ofC < 0 || ofB + ofC > 1) continue;
         const z = seen[a + 2] + ofB * (seen[b + 2] - seen[a + 2]) + ofC * (seen[c + 2] - seen[a + 2]);
         const cell = row * this.#columns + column;

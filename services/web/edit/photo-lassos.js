@@ -75,11 +75,15 @@ export class PhotoLassos {
       const { pictures, films } = await getJson(`/v1/captures/${encodeURIComponent(capture)}/pictures`);
       const names = films.length ? (await loadCameras(cameras)).map(({ name }) => name) : [];
       [this.#listed, this.#pictures] = [wanted, [...pictures, ...keyFramesOf(names, films)]];
-      this.#page.choice.replaceChildren(...this.#pictures.map(({ name }) => create('option', { value: name, textContent: name })));
+      this.#page.choice.replaceChildren(
+        ...this.#pictures.map(({ name }) => create('option', { value: name, textContent: name })),
+      );
     }
     if (!isWanted()) return;
     this.show(lassos);
-    if (!this.#pictures.length) throw new Problem({ code: 'NO_PHOTOS', detail: t('This capture has no photos that a line can be drawn in.') });
+    if (!this.#pictures.length) {
+      throw new Problem({ code: 'NO_PHOTOS', detail: t('This capture has no photos that a line can be drawn in.') });
+    }
     this.#page.photo.hidden = false;
     this.#showPhoto();
   }
@@ -104,7 +108,9 @@ export class PhotoLassos {
 
   /** @param {[x: number, y: number][]} line */
   #add(line) {
-    if (this.#lassos.length >= MOST) return this.#say(t('A recipe takes {count} lines: remove one first.', { count: MOST }));
+    if (this.#lassos.length >= MOST) {
+      return this.#say(t('A recipe takes {count} lines: remove one first.', { count: MOST }));
+    }
     /** @type {PhotoLasso} */
     const lasso = { photo: this.#page.choice.value, line };
     if (this.#page.keeps.value === 'keep') lasso.keeps = true;
@@ -181,7 +187,11 @@ export class PhotoLassos {
     const { width, height } = drawing.viewBox.baseVal;
     const here = this.#lassos.filter(({ photo }) => photo === choice.value);
     const [left, kept] = [false, true].map((keeps) =>
-      here.filter((lasso) => Boolean(lasso.keeps) === keeps).map(({ line }) => pathOf(line, width, height, true)).join(''));
+      here
+        .filter((lasso) => Boolean(lasso.keeps) === keeps)
+        .map(({ line }) => pathOf(line, width, height, true))
+        .join(''),
+    );
     out.setAttribute('d', left);
     keep.setAttribute('d', kept);
     beyond.setAttribute('d', kept && `M0 0H${width}V${height}H0Z${kept}`);
@@ -196,14 +206,24 @@ export class PhotoLassos {
   #row(lasso, place) {
     const number = place + 1;
     const about = { number, photo: lasso.photo };
-    const text = lasso.keeps ? t('Line {number} in {photo}: is kept', about) : t('Line {number} in {photo}: is left out', about);
-    const show = create('button', { type: 'button', textContent: t('Show'), ariaLabel: t('Show line {number}', { number }) });
+    const text = lasso.keeps
+      ? t('Line {number} in {photo}: is kept', about)
+      : t('Line {number} in {photo}: is left out', about);
+    const show = create('button', {
+      type: 'button',
+      textContent: t('Show'),
+      ariaLabel: t('Show line {number}', { number }),
+    });
     show.disabled = !this.#pictures.some(({ name }) => name === lasso.photo);
     show.addEventListener('click', () => {
       this.#page.choice.value = lasso.photo;
       this.#showPhoto();
     });
-    const remove = create('button', { type: 'button', textContent: t('Remove'), ariaLabel: t('Remove line {number}', { number }) });
+    const remove = create('button', {
+      type: 'button',
+      textContent: t('Remove'),
+      ariaLabel: t('Remove line {number}', { number }),
+    });
     remove.addEventListener('click', () => this.#change(this.#lassos.filter((each) => each !== lasso)));
     const row = create('li');
     row.append(create('span', { textContent: text }), show, remove);

@@ -42,7 +42,10 @@ export class PlaneList {
    * @returns {CutPlane[]}
    */
   recipe(frame) {
-    return this.#entries.map((entry) => ({ point: frame.placeToCapture(placeOf(entry)), normal: frame.directionToCapture(entry.normal) }));
+    return this.#entries.map((entry) => ({
+      point: frame.placeToCapture(placeOf(entry)),
+      normal: frame.directionToCapture(entry.normal),
+    }));
   }
 
   /**
@@ -53,7 +56,9 @@ export class PlaneList {
    */
   show(planes, frame, size) {
     this.#size = size;
-    this.#entries = planes.map(({ point, normal }) => this.#entry(frame.placeToAsset(point), frame.directionToAsset(normal), 0));
+    this.#entries = planes.map(({ point, normal }) =>
+      this.#entry(frame.placeToAsset(point), frame.directionToAsset(normal), 0),
+    );
     this.#draw();
   }
 
@@ -74,7 +79,13 @@ export class PlaneList {
    * @returns {Entry}
    */
   #entry(point, normal, away) {
-    const material = new THREE.MeshBasicMaterial({ color: 0xd6453d, transparent: true, opacity: 0.18, side: THREE.DoubleSide, depthWrite: false });
+    const material = new THREE.MeshBasicMaterial({
+      color: 0xd6453d,
+      transparent: true,
+      opacity: 0.18,
+      side: THREE.DoubleSide,
+      depthWrite: false,
+    });
     const quad = new THREE.Mesh(new THREE.PlaneGeometry(this.#size * 0.7, this.#size * 0.7), material);
     return { point: point.clone(), normal: normal.clone(), away, quad };
   }
@@ -102,7 +113,11 @@ export class PlaneList {
       this.#change(entry, { normal: entry.normal.clone().negate(), away: -entry.away });
       slider.value = String(entry.away);
     });
-    const remove = create('button', { type: 'button', textContent: t('Remove'), ariaLabel: t('Remove plane {number}', { number }) });
+    const remove = create('button', {
+      type: 'button',
+      textContent: t('Remove'),
+      ariaLabel: t('Remove plane {number}', { number }),
+    });
     remove.addEventListener('click', () => {
       this.#entries = this.#entries.filter((each) => each !== entry);
       this.#draw();

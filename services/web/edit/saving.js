@@ -44,7 +44,13 @@ export async function runEdited(job, edits) {
   try {
     const ended = await end(again);
     if (ended.state === 'SUCCEEDED') return ended;
-    throw new Problem(ended.error ?? { code: 'CANCELLED', detail: t('The job was cancelled.'), hints: [t('Your edits are still here.')] });
+    throw new Problem(
+      ended.error ?? {
+        code: 'CANCELLED',
+        detail: t('The job was cancelled.'),
+        hints: [t('Your edits are still here.')],
+      },
+    );
   } finally {
     page.tools.hidden = false;
     page.work.hidden = true;

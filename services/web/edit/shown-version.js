@@ -37,7 +37,10 @@ const CAMERAS = 'cameras.json'; // of a bundle of photos
 export async function loadVersion(newest, version, stage, onLevel) {
   const entry = version === newest.version ? await checkEntry(newest) : await getVersion(newest.key, version);
   if (!entry.capture_to_asset) {
-    throw new Problem({ code: 'NO_FRAME', detail: t('This object was not made from a capture here, so there is nothing to edit.') });
+    throw new Problem({
+      code: 'NO_FRAME',
+      detail: t('This object was not made from a capture here, so there is nothing to edit.'),
+    });
   }
   const { url, sha256 } = entry.manifest;
   /** @type {Manifest} */
@@ -48,7 +51,14 @@ export async function loadVersion(newest, version, stage, onLevel) {
   const coarsest = model.coarsest ?? model.object;
   const bounds = new THREE.Box3().setFromPoints(verticesOf(coarsest, model.object));
   const cameras = entry.files?.find(({ file }) => file === CAMERAS);
-  return { entry, edits: manifest.edits ?? {}, frame: new CaptureFrame(entry.capture_to_asset), model, bounds, cameras };
+  return {
+    entry,
+    edits: manifest.edits ?? {},
+    frame: new CaptureFrame(entry.capture_to_asset),
+    model,
+    bounds,
+    cameras,
+  };
 }
 
 /**
@@ -71,4 +81,5 @@ export async function findJob({ versions = [] }, version) {
 }
 
 /** Nothing is stored that the thing could be made from again. */
-export const notStored = () => new Problem({ code: 'NO_JOB', detail: t('No capture of this object is stored here, so it cannot be made again.') });
+export const notStored = () =>
+  new Problem({ code: 'NO_JOB', detail: t('No capture of this object is stored here, so it cannot be made again.') });

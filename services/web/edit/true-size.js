@@ -93,7 +93,11 @@ export class TrueSize {
     this.#input.disabled = !complete;
     if (this.#ends.length === 0) this.#said.textContent = t('Choose two points whose distance you know.');
     else if (!complete) this.#said.textContent = t('And the other one.');
-    else this.#said.textContent = this.fault || t('Now they are {distance} apart.', { distance: centimetres(this.#ends[0].distanceTo(this.#ends[1])) });
+    else {
+      this.#said.textContent =
+        this.fault ||
+        t('Now they are {distance} apart.', { distance: centimetres(this.#ends[0].distanceTo(this.#ends[1])) });
+    }
   }
 
   #draw() {

@@ -35,9 +35,14 @@ export class Upright {
       ['tip-away', right, -1],
       ['tip-near', right, 1],
     ])) {
-      element(id, HTMLButtonElement).addEventListener('click', () => this.#tip(snapped(axis().transformDirection(this.#camera.matrixWorld)), sign));
+      element(id, HTMLButtonElement).addEventListener('click', () =>
+        this.#tip(snapped(axis().transformDirection(this.#camera.matrixWorld)), sign),
+      );
     }
-    for (const [id, sign] of /** @type {[string, number][]} */ ([['turn-left', -1], ['turn-right', 1]])) {
+    for (const [id, sign] of /** @type {[string, number][]} */ ([
+      ['turn-left', -1],
+      ['turn-right', 1],
+    ])) {
       element(id, HTMLButtonElement).addEventListener('click', () => this.#spin(sign));
     }
     element('upright-reset', HTMLButtonElement).addEventListener('click', () => this.#set(null, null));
@@ -75,7 +80,10 @@ export class Upright {
    * @param {number} sign
    */
   #tip(axis, sign) {
-    const back = new THREE.Quaternion().setFromAxisAngle(axis, sign * QUARTER).multiply(this.turn).invert();
+    const back = new THREE.Quaternion()
+      .setFromAxisAngle(axis, sign * QUARTER)
+      .multiply(this.turn)
+      .invert();
     this.#set(UP.clone().applyQuaternion(back), this.front && TOWARD.clone().applyQuaternion(back));
   }
 
@@ -84,7 +92,10 @@ export class Upright {
    * @param {number} sign counterclockwise from above
    */
   #spin(sign) {
-    const back = new THREE.Quaternion().setFromAxisAngle(UP, sign * SPIN).multiply(this.turn).invert();
+    const back = new THREE.Quaternion()
+      .setFromAxisAngle(UP, sign * SPIN)
+      .multiply(this.turn)
+      .invert();
     this.#set(this.up, TOWARD.clone().applyQuaternion(back));
   }
 

@@ -24,7 +24,8 @@ import { t } from '../shared/texts.js';
  * @returns {Promise<{ version: number }>}
  * @throws {Problem} as `getJson`
  */
-export const restoreVersion = (key, version) => postJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}/restore`, {});
+export const restoreVersion = (key, version) =>
+  postJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}/restore`, {});
 
 /**
  * Shows the versions, the newest first.
@@ -33,7 +34,12 @@ export const restoreVersion = (key, version) => postJson(`/v1/assets/${encodeURI
  * @param {boolean} manages whether this person may restore one
  * @param {VersionCallbacks} callbacks
  */
-export function showVersions({ key, version: newest, versions = [] }, shown, manages, { onShow, onCompare, onRestore }) {
+export function showVersions(
+  { key, version: newest, versions = [] },
+  shown,
+  manages,
+  { onShow, onCompare, onRestore },
+) {
   const rows = [...versions].reverse().map((record) => {
     const row = create('li');
     row.append(create('span', { textContent: describe(record, newest) }));
@@ -57,7 +63,14 @@ function createDownloads(key, version) {
   const action = t('Download');
   const list = create('ul', { className: 'formats', role: 'list', ariaLabel: t('Formats for other programs') });
   const part = create('details');
-  part.append(create('summary', { className: 'button', textContent: action, ariaLabel: t('{action}: version {version}', { action, version }) }), list);
+  part.append(
+    create('summary', {
+      className: 'button',
+      textContent: action,
+      ariaLabel: t('{action}: version {version}', { action, version }),
+    }),
+    list,
+  );
   const fill = async () => {
     const entries = await loadDownloads(`/v1/assets/${encodeURIComponent(key)}/downloads?version=${version}`, places);
     list.replaceChildren(...entries.map(({ item }) => item));
@@ -73,7 +86,9 @@ function createDownloads(key, version) {
 function describe({ version, state, created, restored }, newest) {
   const when = new Date(created).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' });
   const what = restored ? t('version {version} restored', { version: restored }) : stateText(state);
-  return version === newest ? t('Version {version}, the newest: {what}, {when}', { version, what, when }) : t('Version {version}: {what}, {when}', { version, what, when });
+  return version === newest
+    ? t('Version {version}, the newest: {what}, {when}', { version, what, when })
+    : t('Version {version}: {what}, {when}', { version, what, when });
 }
 
 /**
@@ -82,7 +97,11 @@ function describe({ version, state, created, restored }, newest) {
  * @param {VersionAction} onClick
  */
 function button(text, version, onClick) {
-  const made = create('button', { type: 'button', textContent: text, ariaLabel: t('{action}: version {version}', { action: text, version }) });
+  const made = create('button', {
+    type: 'button',
+    textContent: text,
+    ariaLabel: t('{action}: version {version}', { action: text, version }),
+  });
   made.addEventListener('click', () => onClick(version, made));
   return made;
 }

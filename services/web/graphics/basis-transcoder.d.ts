@@ -21,7 +21,14 @@ interface BasisKtx2File {
   getImageLevelInfo(level: number, layer: number, face: number): { origWidth: number; origHeight: number };
   getImageTranscodedSizeInBytes(level: number, layer: number, face: number, format: number): number;
   transcodeImage(
-    target: Uint8Array, level: number, layer: number, face: number, format: number, flags: number, channel0: number, channel1: number,
+    target: Uint8Array,
+    level: number,
+    layer: number,
+    face: number,
+    format: number,
+    flags: number,
+    channel0: number,
+    channel1: number,
   ): boolean | number;
   close(): void;
   delete(): void;

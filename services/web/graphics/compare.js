@@ -20,7 +20,11 @@ export class Comparison {
    * @param {() => void} onChange
    */
   constructor(parent, onChange) {
-    const label = create('label', { htmlFor: 'split-at', className: 'offscreen', textContent: t('Where the one version ends and the other begins') });
+    const label = create('label', {
+      htmlFor: 'split-at',
+      className: 'offscreen',
+      textContent: t('Where the one version ends and the other begins'),
+    });
     const names = create('p');
     names.append(this.#left, ' ', this.#right);
     this.#split.append(label, this.#at, names);
@@ -60,7 +64,10 @@ export class Comparison {
     const { x: width, y: height } = renderer.getSize(new THREE.Vector2());
     const edge = Math.round((width * Number(this.#at.value)) / 100);
     renderer.setScissorTest(true);
-    for (const [start, end, shows] of /** @type {[number, number, boolean][]} */ ([[0, edge, true], [edge, width, false]])) {
+    for (const [start, end, shows] of /** @type {[number, number, boolean][]} */ ([
+      [0, edge, true],
+      [edge, width, false],
+    ])) {
       if (end <= start) continue;
       one.visible = shows;
       this.#other.object.visible = !shows;

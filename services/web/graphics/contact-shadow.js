@@ -21,7 +21,12 @@ export class ContactShadow {
 
   constructor() {
     this.#texture.magFilter = THREE.LinearFilter;
-    const material = new THREE.MeshBasicMaterial({ map: this.#texture, transparent: true, depthWrite: false, toneMapped: false });
+    const material = new THREE.MeshBasicMaterial({
+      map: this.#texture,
+      transparent: true,
+      depthWrite: false,
+      toneMapped: false,
+    });
     this.object = new THREE.Mesh(new THREE.PlaneGeometry(1, 1).rotateX(-Math.PI / 2), material); // from below it is not seen
     this.object.renderOrder = -1; // under the thing, which may touch the floor
     this.object.raycast = () => {}; // nobody takes hold of it
@@ -51,7 +56,7 @@ export class ContactShadow {
    * @param {THREE.Object3D} thing
    * @param {THREE.Matrix4} toFloor
    */
-  * #parts(thing, toFloor) {
+  *#parts(thing, toFloor) {
     const triangles = trianglesOf(thing, toFloor);
     yield;
     const box = new THREE.Box3().setFromArray(triangles);
@@ -61,9 +66,15 @@ export class ContactShadow {
     const middle = box.getCenter(new THREE.Vector3());
     const heights = heightsUnder(triangles, { x: middle.x - side / 2, z: middle.z - side / 2, cell: side / CELLS });
     yield;
-    const soft = blur(heights.map((height) => Math.max(0, 1 - height / reach) ** 2), SOFT_CELLS);
+    const soft = blur(
+      heights.map((height) => Math.max(0, 1 - height / reach) ** 2),
+      SOFT_CELLS,
+    );
     yield;
-    const sharp = blur(heights.map((height) => Math.max(0, 1 - height / (reach * TOUCHING / REACH))), SHARP_CELLS);
+    const sharp = blur(
+      heights.map((height) => Math.max(0, 1 - height / ((reach * TOUCHING) / REACH))),
+      SHARP_CELLS,
+    );
     for (let place = 0; place < soft.length; place++) {
       const flipped = place + (CELLS - 1 - 2 * Math.floor(place / CELLS)) * CELLS; // a texture's rows begin at the near edge
       this.#texels[4 * flipped + 3] = 255 * (DARKNESS.soft * soft[place] + DARKNESS.sharp * sharp[place]);
@@ -90,7 +101,9 @@ export function trianglesOf(thing, toFloor) {
   const meshes = [];
   thing.updateWorldMatrix(true, true);
   thing.traverse((node) => node instanceof THREE.Mesh && meshes.push(node));
-  const parts = meshes.map(({ geometry, matrixWorld }) => cornersOf(geometry, new THREE.Matrix4().multiplyMatrices(toFloor, matrixWorld)));
+  const parts = meshes.map(({ geometry, matrixWorld }) =>
+    cornersOf(geometry, new THREE.Matrix4().multiplyMatrices(toFloor, matrixWorld)),
+  );
   const all = new Float32Array(parts.reduce((sum, { length }) => sum + length, 0));
   parts.reduce((start, part) => {
     all.set(part, start);
@@ -110,7 +123,10 @@ function cornersOf({ index, attributes: { position } }, matrix) {
   const corner = new THREE.Vector3();
   for (let place = 0; 3 * place < corners.length; place++) {
     const source = 3 * step * Math.floor(place / 3) + (place % 3);
-    corner.fromBufferAttribute(position, index ? index.getX(source) : source).applyMatrix4(matrix).toArray(corners, 3 * place);
+    corner
+      .fromBufferAttribute(position, index ? index.getX(source) : source)
+      .applyMatrix4(matrix)
+      .toArray(corners, 3 * place);
   }
   return corners;
 }

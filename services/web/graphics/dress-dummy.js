@@ -49,7 +49,10 @@ const PLINTH_RIM_M = 0.06;
  * @returns {Ring}
  */
 export function torsoAt(y) {
-  const place = Math.max(1, TORSO.findIndex((ring) => ring.y <= y));
+  const place = Math.max(
+    1,
+    TORSO.findIndex((ring) => ring.y <= y),
+  );
   const [above, below] = [TORSO[place - 1], TORSO[place]];
   const share = Math.min(1, Math.max(0, (above.y - y) / (above.y - below.y)));
   return { y, x: above.x + share * (below.x - above.x), z: above.z + share * (below.z - above.z) };
@@ -72,7 +75,11 @@ export class DressDummy {
     this.#pole = mesh(new THREE.CylinderGeometry(POLE_M, POLE_M, 1, 16).translate(0, 0.5, 0), wood, 0);
     this.#plinth = mesh(new THREE.CylinderGeometry(1, 1, 1, 64).translate(0, 0.5, 0), material(CLOTH, 0.8), 0);
     this.#torso.add(mesh(torsoGeometry(), cloth, 0), cap);
-    this.#foot = mesh(new THREE.CylinderGeometry(0.9 * FOOT.radius, FOOT.radius, FOOT.height, 48).translate(0, FOOT.height / 2, 0), wood, 0);
+    this.#foot = mesh(
+      new THREE.CylinderGeometry(0.9 * FOOT.radius, FOOT.radius, FOOT.height, 48).translate(0, FOOT.height / 2, 0),
+      wood,
+      0,
+    );
     this.#dummy.add(this.#torso, this.#pole, this.#foot);
     this.object.add(this.#dummy, this.#plinth, this.#shadow.object);
     this.wear(BARE);
@@ -129,15 +136,28 @@ export class DressDummy {
 
 /** The torso: its rings, smoothly joined. The seam is at the back. */
 function torsoGeometry() {
-  const [widths, depths] = /** @type {const} */ (['x', 'z']).map((side) => new THREE.CatmullRomCurve3(TORSO.map((ring) => new THREE.Vector3(ring[side], ring.y, 0)), false, 'centripetal'));
+  const [widths, depths] = /** @type {const} */ (['x', 'z']).map(
+    (side) =>
+      new THREE.CatmullRomCurve3(
+        TORSO.map((ring) => new THREE.Vector3(ring[side], ring.y, 0)),
+        false,
+        'centripetal',
+      ),
+  );
   const rows = Array.from({ length: ROWS + 1 }, (_, row) => 1 - row / ROWS); // from the bottom up, as the lathe has its outside
   const outline = rows.map((share) => widths.getPoint(share));
   const [bottom, top] = [outline[0], outline[ROWS]];
   const points = [new THREE.Vector3(0, bottom.y - 0.02, 0), ...outline, new THREE.Vector3(0, top.y, 0)];
   const flat = [1, ...rows.map((share, row) => depths.getPoint(share).x / outline[row].x), 1];
-  const geometry = new THREE.LatheGeometry(points.map(({ x, y }) => new THREE.Vector2(x, y)), AROUND, Math.PI);
+  const geometry = new THREE.LatheGeometry(
+    points.map(({ x, y }) => new THREE.Vector2(x, y)),
+    AROUND,
+    Math.PI,
+  );
   const { position } = geometry.attributes;
-  for (let place = 0; place < position.count; place++) position.setZ(place, position.getZ(place) * flat[place % points.length]);
+  for (let place = 0; place < position.count; place++) {
+    position.setZ(place, position.getZ(place) * flat[place % points.length]);
+  }
   geometry.computeVertexNormals();
   return geometry;
 }

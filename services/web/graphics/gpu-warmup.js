@@ -31,7 +31,11 @@ export async function prepare({ renderer, scene, camera }, object) {
 function allTextures(object) {
   /** @type {Set<THREE.Texture>} */
   const textures = new Set();
-  object.traverse((node) => materialsOf(node).flatMap(texturesOf).forEach((texture) => textures.add(texture)));
+  object.traverse((node) =>
+    materialsOf(node)
+      .flatMap(texturesOf)
+      .forEach((texture) => textures.add(texture)),
+  );
   return textures;
 }
 

@@ -14,7 +14,10 @@ const UP = new THREE.Vector3(0, 1, 0);
  * @param {THREE.Vector3} place
  */
 export function createDot(place) {
-  const dot = withRim(() => new THREE.SphereGeometry(1, 16, 12), (mesh, radius, px) => mesh.scale.setScalar((radius + DOT_PX) * px));
+  const dot = withRim(
+    () => new THREE.SphereGeometry(1, 16, 12),
+    (mesh, radius, px) => mesh.scale.setScalar((radius + DOT_PX) * px),
+  );
   dot.position.copy(place);
   return dot;
 }
@@ -26,9 +29,12 @@ export function createDot(place) {
  */
 export function createLine(start, end) {
   const length = start.distanceTo(end);
-  const line = withRim(() => new THREE.CylinderGeometry(1, 1, 1, 8, 1, true), (mesh, radius, px) => {
-    mesh.scale.set((radius + LINE_PX) * px, length, (radius + LINE_PX) * px);
-  });
+  const line = withRim(
+    () => new THREE.CylinderGeometry(1, 1, 1, 8, 1, true),
+    (mesh, radius, px) => {
+      mesh.scale.set((radius + LINE_PX) * px, length, (radius + LINE_PX) * px);
+    },
+  );
   line.position.copy(start).lerp(end, 0.5);
   line.quaternion.setFromUnitVectors(UP, end.clone().sub(start).normalize());
   return line;
@@ -42,7 +48,9 @@ export function createLine(start, end) {
  */
 export function createLabel(map, lines, place) {
   const { width, height } = map.image;
-  const label = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthTest: false, depthWrite: false, toneMapped: false }));
+  const label = new THREE.Sprite(
+    new THREE.SpriteMaterial({ map, depthTest: false, depthWrite: false, toneMapped: false }),
+  );
   label.center.set(0.5, -DOT_PX / LABEL_PX / lines - 0.1);
   keepSize(label, (px) => label.scale.set((px * lines * LABEL_PX * width) / height, px * lines * LABEL_PX, 1));
   label.renderOrder = ORDER + 2;
@@ -58,7 +66,12 @@ export function createLabel(map, lines, place) {
 function withRim(shape, size) {
   const group = new THREE.Group();
   for (const [order, rim] of [RIM_PX, 0].entries()) {
-    const material = new THREE.MeshBasicMaterial({ color: rim ? RIM : COLOUR, depthTest: false, transparent: true, toneMapped: false });
+    const material = new THREE.MeshBasicMaterial({
+      color: rim ? RIM : COLOUR,
+      depthTest: false,
+      transparent: true,
+      toneMapped: false,
+    });
     const mesh = new THREE.Mesh(shape(), material);
     keepSize(mesh, (px) => size(mesh, rim, px));
     mesh.renderOrder = ORDER + order;
@@ -76,7 +89,10 @@ function keepSize(object, size) {
   object.frustumCulled = false; // its size is not known before it is drawn
   object.raycast = () => {};
   object.onBeforeRender = (renderer, _, camera) => {
-    const distance = Math.max(NEAREST_M, -new THREE.Vector3().setFromMatrixPosition(object.matrixWorld).applyMatrix4(camera.matrixWorldInverse).z);
+    const distance = Math.max(
+      NEAREST_M,
+      -new THREE.Vector3().setFromMatrixPosition(object.matrixWorld).applyMatrix4(camera.matrixWorldInverse).z,
+    );
     size((distance * radiansPerPixel(renderer, camera)) / (object.parent?.matrixWorld.getMaxScaleOnAxis() ?? 1));
     object.updateMatrixWorld();
   };

@@ -62,7 +62,9 @@ export function pick(thing, place, camera, clipping = []) {
  * @param {THREE.Object3D} object
  */
 export function isShown(object) {
-  for (let each = /** @type {THREE.Object3D | null} */ (object); each; each = each.parent) if (!each.visible) return false;
+  for (let each = /** @type {THREE.Object3D | null} */ (object); each; each = each.parent) {
+    if (!each.visible) return false;
+  }
   return true;
 }
 
@@ -81,7 +83,11 @@ function planeNormal(mesh, point, face, radius) {
   const { index } = mesh.geometry;
   const count = index ? index.count : mesh.geometry.getAttribute('position').count;
   for (let corner = 0; corner + 2 < count; corner += 3) {
-    [a, b, c].forEach((vertex, place) => mesh.getVertexPosition(index ? index.getX(corner + place) : corner + place, vertex).applyMatrix4(mesh.matrixWorld));
+    [a, b, c].forEach((vertex, place) =>
+      mesh
+        .getVertexPosition(index ? index.getX(corner + place) : corner + place, vertex)
+        .applyMatrix4(mesh.matrixWorld),
+    );
     if (a.distanceTo(point) > radius) continue;
     const area = b.sub(a).cross(c.sub(a)); // twice the area, along the normal
     const cosine = area.dot(first) / (area.length() || 1);

@@ -65,11 +65,15 @@ function distanceToFit(camera, size) {
   const half = Math.tan(THREE.MathUtils.degToRad(camera.fov / 2));
   const [across, up] = [half * camera.aspect * FILLED[0], half * FILLED[1]];
   const turn = camera.quaternion.clone().invert();
-  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((place) => new THREE.Vector3(...size.map((side, axis) => (place & (1 << axis) ? side / 2 : -side / 2))));
-  return Math.max(...corners.map((corner) => {
-    const { x, y, z } = corner.applyQuaternion(turn);
-    return Math.max(Math.abs(x) / across, Math.abs(y) / up) + z;
-  }));
+  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map(
+    (place) => new THREE.Vector3(...size.map((side, axis) => (place & (1 << axis) ? side / 2 : -side / 2))),
+  );
+  return Math.max(
+    ...corners.map((corner) => {
+      const { x, y, z } = corner.applyQuaternion(turn);
+      return Math.max(Math.abs(x) / across, Math.abs(y) / up) + z;
+    }),
+  );
 }
 
 /**
@@ -81,10 +85,16 @@ function distanceToFit(camera, size) {
 export function hintsOf({ anchors }, size) {
   if (!anchors?.xyz_m?.length) return null;
   const geometry = new THREE.BufferGeometry();
-  const colours = Float32Array.from(anchors.rgb, (value) => new THREE.Color().setRGB(value / 255, 0, 0, THREE.SRGBColorSpace).r);
+  const colours = Float32Array.from(
+    anchors.rgb,
+    (value) => new THREE.Color().setRGB(value / 255, 0, 0, THREE.SRGBColorSpace).r,
+  );
   geometry.setAttribute('position', new THREE.Float32BufferAttribute(anchors.xyz_m, 3));
   geometry.setAttribute('color', new THREE.Float32BufferAttribute(colours, 3));
-  return new THREE.Points(geometry, new THREE.PointsMaterial({ size: Math.hypot(...size) * POINT_SHARE, vertexColors: true, toneMapped: false }));
+  return new THREE.Points(
+    geometry,
+    new THREE.PointsMaterial({ size: Math.hypot(...size) * POINT_SHARE, vertexColors: true, toneMapped: false }),
+  );
 }
 
 /**

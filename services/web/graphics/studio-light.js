@@ -48,7 +48,10 @@ export function createStudioLight() {
  */
 function radianceFrom(direction) {
   const walls = THREE.MathUtils.lerp(FLOOR, CEILING, (direction.y + 1) / 2);
-  return SOFT_BOXES.reduce((sum, { place, radiance, narrow }) => sum + radiance * Math.max(0, direction.dot(place)) ** narrow, walls);
+  return SOFT_BOXES.reduce(
+    (sum, { place, radiance, narrow }) => sum + radiance * Math.max(0, direction.dot(place)) ** narrow,
+    walls,
+  );
 }
 
 /** Directions spread evenly over the sphere (a Fibonacci lattice). */

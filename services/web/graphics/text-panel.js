@@ -12,7 +12,10 @@ const WIDTH_M = 0.9;
 export function createTextPanel(lines) {
   const map = drawText(lines, WIDTH_PX);
   const height = (WIDTH_M * map.image.height) / WIDTH_PX;
-  return new THREE.Mesh(new THREE.PlaneGeometry(WIDTH_M, height), new THREE.MeshBasicMaterial({ map, transparent: true }));
+  return new THREE.Mesh(
+    new THREE.PlaneGeometry(WIDTH_M, height),
+    new THREE.MeshBasicMaterial({ map, transparent: true }),
+  );
 }
 
 /**
@@ -36,7 +39,9 @@ export function drawText(lines, width) {
   context.textAlign = 'center';
   context.textBaseline = 'middle';
   const first = (canvas.height - LINE_PX * (lines.length - 1)) / 2;
-  lines.forEach((line, place) => context.fillText(line, canvas.width / 2, first + LINE_PX * place, canvas.width - LINE_PX / 2));
+  lines.forEach((line, place) =>
+    context.fillText(line, canvas.width / 2, first + LINE_PX * place, canvas.width - LINE_PX / 2),
+  );
   const map = new THREE.CanvasTexture(canvas);
   map.colorSpace = THREE.SRGBColorSpace;
   return map;

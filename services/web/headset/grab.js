@@ -39,7 +39,10 @@ export class Grabber {
   release(hand) {
     const item = this.itemIn(hand);
     if (!item) return;
-    this.#grip(item, this.#handsOn(item).filter((each) => each !== hand));
+    this.#grip(
+      item,
+      this.#handsOn(item).filter((each) => each !== hand),
+    );
     if (!this.#grips.has(item)) this.#onRelease(item);
   }
 
@@ -77,7 +80,8 @@ export class Grabber {
     for (const [item, { hands, from, start }] of this.#grips) {
       if (hands.some((hand) => !hand.visible)) continue; // the headset does not see it, and its last place is old
       const now = hands.map((hand) => hand.matrixWorld);
-      const move = hands.length === 2 ? twoHandMove(from, now, start) : now[0].clone().multiply(from[0].clone().invert());
+      const move =
+        hands.length === 2 ? twoHandMove(from, now, start) : now[0].clone().multiply(from[0].clone().invert());
       setWorldMatrix(item, move.multiply(start));
     }
   }
@@ -92,7 +96,9 @@ export class Grabber {
     if (!item || this.handCount(item) !== 1) return;
     const middle = new THREE.Vector3().setFromMatrixPosition(item.group.matrixWorld);
     const ahead = new THREE.Vector3(0, 0, -push).transformDirection(hand.matrixWorld).multiplyScalar(Math.abs(push));
-    const rotation = new THREE.Matrix4().makeTranslation(middle.clone().add(ahead)).multiply(new THREE.Matrix4().makeRotationY(turn));
+    const rotation = new THREE.Matrix4()
+      .makeTranslation(middle.clone().add(ahead))
+      .multiply(new THREE.Matrix4().makeRotationY(turn));
     const toOrigin = new THREE.Matrix4().makeTranslation(middle.negate());
     setWorldMatrix(item, rotation.multiply(toOrigin).multiply(item.group.matrixWorld));
     this.#grip(item, [hand]);
@@ -133,7 +139,9 @@ function twoHandMove(from, now, start) {
   const scale = THREE.MathUtils.clamp(wanted, SCALES[0] / size, SCALES[1] / size);
   const turn = new THREE.Quaternion().setFromUnitVectors(before.normalize(), after.normalize());
   const back = new THREE.Matrix4().makeTranslation(a.add(b).multiplyScalar(-0.5));
-  return new THREE.Matrix4().compose(c.add(d).multiplyScalar(0.5), turn, new THREE.Vector3().setScalar(scale)).multiply(back);
+  return new THREE.Matrix4()
+    .compose(c.add(d).multiplyScalar(0.5), turn, new THREE.Vector3().setScalar(scale))
+    .multiply(back);
 }
 
 /**

@@ -14,7 +14,9 @@ const AHEAD_M = 0.7; // between the wearer and the thing's near side: an arm's l
  */
 export function placeBeside(item, others) {
   const box = new THREE.Box3();
-  for (const { box: own, group } of others) box.union(own.applyMatrix4(group.matrix.compose(group.position, group.quaternion, group.scale)));
+  for (const { box: own, group } of others) {
+    box.union(own.applyMatrix4(group.matrix.compose(group.position, group.quaternion, group.scale)));
+  }
   if (box.isEmpty()) return;
   const [width] = item.entry.size_m;
   item.group.position.set(box.max.x + GAP_M + width / 2, 0, (box.min.z + box.max.z) / 2);

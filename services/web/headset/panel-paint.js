@@ -69,6 +69,8 @@ function paintText(context, text, [x, y, width, height]) {
   context.font = `${LETTERS_PX}px system-ui, sans-serif`;
   context.textAlign = 'center';
   let shown = text;
-  while (shown.length > 1 && context.measureText(shown).width > width - 2 * PAD) shown = `${[...shown.replace(/…$/, '')].slice(0, -1).join('')}…`;
+  while (shown.length > 1 && context.measureText(shown).width > width - 2 * PAD) {
+    shown = `${[...shown.replace(/…$/, '')].slice(0, -1).join('')}…`;
+  }
   context.fillText(shown, x + width / 2, y + height / 2);
 }

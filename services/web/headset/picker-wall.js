@@ -62,7 +62,13 @@ export class PickerWall {
   offer(camera) {
     this.#button.paint((context) => {
       paintGround(context, BUTTON_PX);
-      return [paintButton(context, [12, 12, BUTTON_PX[0] - 24, BUTTON_PX[1] - 24], { name: 'open', text: t('Add an object'), press: () => this.toggle(camera) })];
+      return [
+        paintButton(context, [12, 12, BUTTON_PX[0] - 24, BUTTON_PX[1] - 24], {
+          name: 'open',
+          text: t('Add an object'),
+          press: () => this.toggle(camera),
+        }),
+      ];
     });
     standBefore(this.#button, camera, { away: BUTTON_AWAY_M, below: BUTTON_BELOW_M, turn: BUTTON_TURN });
     reportPlaces(this.panels);
@@ -142,12 +148,14 @@ export class PickerWall {
   /** @param {CanvasRenderingContext2D} context */
   #paintLabels(context) {
     const width = (WALL_PX[0] - 2 * EDGE + GAP) / (MOST_LABELS + 1) - GAP;
-    return ['', ...this.#labels].map((label, place) => paintButton(context, [EDGE + place * (width + GAP), EDGE + TITLE, width, ROW], {
-      name: `label ${label}`,
-      text: label || t('All'),
-      isChosen: label === this.#label,
-      press: () => this.#show(label, null),
-    }));
+    return ['', ...this.#labels].map((label, place) =>
+      paintButton(context, [EDGE + place * (width + GAP), EDGE + TITLE, width, ROW], {
+        name: `label ${label}`,
+        text: label || t('All'),
+        isChosen: label === this.#label,
+        press: () => this.#show(label, null),
+      }),
+    );
   }
 
   /** @param {CanvasRenderingContext2D} context */
@@ -174,7 +182,9 @@ export class PickerWall {
       { name: 'close', text: t('Close'), press: () => this.#close() },
     ];
     const width = (WALL_PX[0] - 2 * EDGE + GAP) / buttons.length - GAP;
-    return buttons.flatMap((button, place) => button ? paintButton(context, [EDGE + place * (width + GAP), WALL_PX[1] - EDGE - ROW, width, ROW], button) : []);
+    return buttons.flatMap((button, place) =>
+      button ? paintButton(context, [EDGE + place * (width + GAP), WALL_PX[1] - EDGE - ROW, width, ROW], button) : [],
+    );
   }
 
   /** @param {string} key */
@@ -192,7 +202,10 @@ export class PickerWall {
   async #save(saving) {
     if (this.#isSaving) return; // pressed a second time
     this.#isSaving = true;
-    this.#said = await saving().then(() => t('The scene is saved.'), (error) => sentences(error));
+    this.#said = await saving().then(
+      () => t('The scene is saved.'),
+      (error) => sentences(error),
+    );
     this.#isSaving = false;
     this.#paint();
   }
@@ -206,5 +219,8 @@ function commonLabels(things) {
   /** @type {Map<string, number>} */
   const counts = new Map();
   for (const label of things.flatMap(({ labels }) => labels)) counts.set(label, (counts.get(label) ?? 0) + 1);
-  return [...counts].sort(([, one], [, other]) => other - one).slice(0, MOST_LABELS).map(([label]) => label);
+  return [...counts]
+    .sort(([, one], [, other]) => other - one)
+    .slice(0, MOST_LABELS)
+    .map(([label]) => label);
 }

@@ -17,7 +17,10 @@ export class PressPanel {
   #context;
   #metresPerPixel;
   #texture = new THREE.CanvasTexture(this.#canvas);
-  #light = new THREE.Mesh(new THREE.PlaneGeometry(1, 1), new THREE.MeshBasicMaterial({ color: LIGHT, transparent: true, opacity: 0.35, depthWrite: false }));
+  #light = new THREE.Mesh(
+    new THREE.PlaneGeometry(1, 1),
+    new THREE.MeshBasicMaterial({ color: LIGHT, transparent: true, opacity: 0.35, depthWrite: false }),
+  );
 
   /**
    * @param {[width: number, height: number]} pixels
@@ -61,7 +64,12 @@ export class PressPanel {
     const [found] = raycaster.intersectObject(this.mesh, false);
     if (!found?.uv) return null;
     const [x, y] = [found.uv.x * this.#canvas.width, (1 - found.uv.y) * this.#canvas.height];
-    return { distance: found.distance, zone: this.#zones.find(({ at: [left, top, width, height] }) => x >= left && x < left + width && y >= top && y < top + height) };
+    return {
+      distance: found.distance,
+      zone: this.#zones.find(
+        ({ at: [left, top, width, height] }) => x >= left && x < left + width && y >= top && y < top + height,
+      ),
+    };
   }
 
   /**
@@ -79,12 +87,18 @@ export class PressPanel {
   /** The middle of each part in the world, by its name. */
   get places() {
     this.mesh.updateWorldMatrix(true, false);
-    return Object.fromEntries(this.#zones.map((zone) => [zone.name, this.mesh.localToWorld(this.#centreOf(zone)).toArray()]));
+    return Object.fromEntries(
+      this.#zones.map((zone) => [zone.name, this.mesh.localToWorld(this.#centreOf(zone)).toArray()]),
+    );
   }
 
   /** @param {Zone} zone */
   #centreOf({ at: [left, top, width, height] }) {
-    return new THREE.Vector3(left + width / 2 - this.#canvas.width / 2, this.#canvas.height / 2 - top - height / 2, 0).multiplyScalar(this.#metresPerPixel);
+    return new THREE.Vector3(
+      left + width / 2 - this.#canvas.width / 2,
+      this.#canvas.height / 2 - top - height / 2,
+      0,
+    ).multiplyScalar(this.#metresPerPixel);
   }
 }
 

@@ -12,7 +12,9 @@ export class RoomPlanes {
     this.#renderer = renderer;
     const { xr } = renderer;
     // three.js sends this for every frame in which the headset tells of planes; `data` is the frame, though its types say otherwise.
-    xr.addEventListener('planesdetected', ({ data }) => this.#update(/** @type {XRFrame} */ (/** @type {unknown} */ (data))));
+    xr.addEventListener('planesdetected', ({ data }) =>
+      this.#update(/** @type {XRFrame} */ (/** @type {unknown} */ (data))),
+    );
     xr.addEventListener('sessionend', () => this.#keep(new Set()));
   }
 
@@ -30,7 +32,9 @@ export class RoomPlanes {
       if (this.#planes.get(plane)?.changed === plane.lastChangedTime) continue;
       const pose = space && frame.getPose(plane.planeSpace, space);
       if (!pose) continue;
-      const mesh = this.#planes.get(plane)?.mesh ?? new THREE.Mesh(undefined, new THREE.MeshBasicMaterial({ side: THREE.DoubleSide }));
+      const mesh =
+        this.#planes.get(plane)?.mesh ??
+        new THREE.Mesh(undefined, new THREE.MeshBasicMaterial({ side: THREE.DoubleSide }));
       mesh.geometry.dispose();
       mesh.geometry = geometryOf(plane.polygon);
       mesh.matrixAutoUpdate = false;
@@ -61,7 +65,13 @@ export class RoomPlanes {
 function geometryOf(polygon) {
   const outline = polygon.map(({ x, z }) => new THREE.Vector2(x, z));
   const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute('position', new THREE.Float32BufferAttribute(polygon.flatMap(({ x, z }) => [x, 0, z]), 3));
+  geometry.setAttribute(
+    'position',
+    new THREE.Float32BufferAttribute(
+      polygon.flatMap(({ x, z }) => [x, 0, z]),
+      3,
+    ),
+  );
   geometry.setIndex(THREE.ShapeUtils.triangulateShape(outline, []).flat());
   return geometry;
 }

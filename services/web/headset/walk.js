@@ -47,7 +47,10 @@ export class Walker {
     const ahead = headingOf(this.#renderer.xr.getCamera());
     if (!ahead) return;
     const right = new THREE.Vector3(-ahead.z, 0, ahead.x);
-    const step = ahead.multiplyScalar(-y).addScaledVector(right, x).multiplyScalar(WALK_M_PER_S * seconds);
+    const step = ahead
+      .multiplyScalar(-y)
+      .addScaledVector(right, x)
+      .multiplyScalar(WALK_M_PER_S * seconds);
     this.#root.position.sub(step);
     this.#moved();
   }
@@ -61,7 +64,10 @@ export class Walker {
     if (push === 0) return;
     const eye = this.#eye();
     const angle = push * TURN; // the wearer to the right is the scene to the left
-    this.#root.position.sub(eye).applyAxisAngle(new THREE.Vector3(0, 1, 0), angle).add(eye);
+    this.#root.position
+      .sub(eye)
+      .applyAxisAngle(new THREE.Vector3(0, 1, 0), angle)
+      .add(eye);
     this.#root.rotation.y += angle;
     this.#moved();
   }
@@ -105,7 +111,10 @@ export class Walker {
 /** A ring that lies on the floor. */
 function createMark() {
   const geometry = new THREE.RingGeometry(0.7 * MARK_M, MARK_M, 32).rotateX(-Math.PI / 2);
-  const mark = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ color: 0x4f8cff, depthTest: false, transparent: true, side: THREE.DoubleSide }));
+  const mark = new THREE.Mesh(
+    geometry,
+    new THREE.MeshBasicMaterial({ color: 0x4f8cff, depthTest: false, transparent: true, side: THREE.DoubleSide }),
+  );
   mark.visible = false;
   mark.renderOrder = 1; // over the surface that it lies on, which is not quite flat
   return mark;

@@ -79,7 +79,9 @@ export class XrInput {
       input.drawHand(showHands());
       const panel = this.#findPanel(pointer);
       panel?.panel.light(panel.zone);
-      ray.scale.z = grabber.itemIn(pointer) ? 0.05 : panel?.distance ?? (distanceToFirstBox(items(), this.#castRay(pointer)) || RAY_M);
+      ray.scale.z = grabber.itemIn(pointer)
+        ? 0.05
+        : (panel?.distance ?? (distanceToFirstBox(items(), this.#castRay(pointer)) || RAY_M));
       if (performance.now() - (presses.get('select') ?? Infinity) > RESET_MS) {
         presses.set('select', Infinity);
         onReset();
@@ -196,7 +198,9 @@ export class XrInput {
     const [x, y] = [axes[STICK_X] || 0, axes[STICK_Y] || 0].map((value) => (Math.abs(value) < DEAD_ZONE ? 0 : value));
     const rests = !x && !y;
     if (grabber.itemIn(input.pointer)) {
-      if (!rests) grabber.turnAndPush(input.pointer, { turn: x * TURN_PER_S * seconds, push_m: -y * PUSH_M_PER_S * seconds });
+      if (!rests) {
+        grabber.turnAndPush(input.pointer, { turn: x * TURN_PER_S * seconds, push_m: -y * PUSH_M_PER_S * seconds });
+      }
     } else if (input.source?.handedness === 'right') this.#steer(input, x, y);
     else if (!rests) walker.walk(x, y, seconds);
   }
@@ -229,7 +233,16 @@ function createInput(renderer, scene, place) {
   /** @param {boolean} visible */
   const drawHand = (visible) => drawJoints(joints, visible ? hand : null);
   /** @type {Input} */
-  const input = { pointer, ray, presses: new Map(), source: null, resetPressed: false, menuPressed: false, aiming: '', drawHand };
+  const input = {
+    pointer,
+    ray,
+    presses: new Map(),
+    source: null,
+    resetPressed: false,
+    menuPressed: false,
+    aiming: '',
+    drawHand,
+  };
   pointer.add(ray);
   grip.add(controller);
   hand.add(joints);
@@ -253,14 +266,21 @@ function createRay() {
 
 /** A capsule in place of the controller. */
 function createController() {
-  const controller = new THREE.Mesh(new THREE.CapsuleGeometry(0.018, 0.08, 4, 12), new THREE.MeshStandardMaterial({ color: 0x3a3f49 }));
+  const controller = new THREE.Mesh(
+    new THREE.CapsuleGeometry(0.018, 0.08, 4, 12),
+    new THREE.MeshStandardMaterial({ color: 0x3a3f49 }),
+  );
   controller.rotation.x = Math.PI / 2;
   return controller;
 }
 
 /** Spheres for the joints of a hand, none of them shown yet. */
 function createJoints() {
-  const joints = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 8, 6), new THREE.MeshStandardMaterial({ color: COLOUR }), JOINTS);
+  const joints = new THREE.InstancedMesh(
+    new THREE.SphereGeometry(1, 8, 6),
+    new THREE.MeshStandardMaterial({ color: COLOUR }),
+    JOINTS,
+  );
   joints.count = 0;
   joints.frustumCulled = false; // its spheres are at the hand's joints, not at its own place
   return joints;

@@ -28,8 +28,14 @@ const NAMES = { vr: 'VR', ar: 'AR' };
 /** @type {Mode[]} */
 const MODES = ['vr', 'ar'];
 /** What a wearer does with things. */
-export const HELP = [t('Squeeze or pinch to take hold; two hands scale and turn.'), t('B, Y, or a long pinch beside it puts it back.')];
-const WALKING_HELP = [t('The left stick walks, the right one turns.'), t('Point at the floor and pull the trigger, or pinch, to go there.')];
+export const HELP = [
+  t('Squeeze or pinch to take hold; two hands scale and turn.'),
+  t('B, Y, or a long pinch beside it puts it back.'),
+];
+const WALKING_HELP = [
+  t('The left stick walks, the right one turns.'),
+  t('Point at the floor and pull the trigger, or pinch, to go there.'),
+];
 
 /** The session in a headset, and its two buttons. */
 export class XrSession {

@@ -64,7 +64,9 @@ async function showPresent() {
   const session = await getJson('/v1/session').catch(() => null);
   const isOpen = session?.via === 'open';
   if (!session || session.via === 'anonymous') return;
-  page.present.textContent = isOpen ? t('This server asks nobody for a key.') : t('This browser is logged in as {tenant}.', { tenant: session.tenant });
+  page.present.textContent = isOpen
+    ? t('This server asks nobody for a key.')
+    : t('This browser is logged in as {tenant}.', { tenant: session.tenant });
   page.present.hidden = false;
 }
 

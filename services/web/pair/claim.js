@@ -26,7 +26,10 @@ export async function claim(token) {
  * @param {Session} session
  */
 async function askToReplace({ tenant }) {
-  element('present', HTMLElement).textContent = t('This browser is logged in as {tenant}. The code logs it in anew, with what the other screen allows.', { tenant });
+  element('present', HTMLElement).textContent = t(
+    'This browser is logged in as {tenant}. The code logs it in anew, with what the other screen allows.',
+    { tenant },
+  );
   showState('asking', t('Log in with this code?'));
   const button = element('replace', HTMLButtonElement);
   await new Promise((resolve) => button.addEventListener('click', resolve, { once: true }));

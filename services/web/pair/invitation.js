@@ -73,7 +73,9 @@ async function watch(pairing) {
   const ends = performance.now() + (Date.parse(pairing.expires) - Date.now());
   while (shown === pairing) {
     const seconds = Math.max(0, Math.round((ends - performance.now()) / 1000));
-    own.left.textContent = t('For {time} minutes, and for one device.', { time: `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, '0')}` });
+    own.left.textContent = t('For {time} minutes, and for one device.', {
+      time: `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, '0')}`,
+    });
     if (await isClaimed(pairing)) {
       showState('paired', t('{device} is paired.', { device: pairing.label }));
       return;

@@ -9,7 +9,9 @@ import { sentences } from '../shared/problems.js';
 document.body.dataset.started = 'yes';
 const token = location.hash.slice(1);
 history.replaceState(null, '', location.pathname); // the token works once, but need not stay in the history
-(token ? claim(token) : invite()).catch((error) => {
-  showState('error', sentences(error));
-  page.other.hidden = false;
-}).finally(showAccount);
+(token ? claim(token) : invite())
+  .catch((error) => {
+    showState('error', sentences(error));
+    page.other.hidden = false;
+  })
+  .finally(showAccount);

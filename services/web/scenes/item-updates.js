@@ -34,7 +34,10 @@ export class ItemUpdates {
     await Promise.all(items().map((item) => this.update(item)));
     for (let turn = 0; ; turn++) {
       const mayChange = items().some(({ entry }) => entry?.state !== 'refined');
-      const wait = Math.max(LEAST_POLL_MS, (mayChange ? PREVIEW_POLL_MS : REFINED_POLL_MS) / Math.max(1, items().length));
+      const wait = Math.max(
+        LEAST_POLL_MS,
+        (mayChange ? PREVIEW_POLL_MS : REFINED_POLL_MS) / Math.max(1, items().length),
+      );
       await new Promise((resolve) => setTimeout(resolve, wait));
       const item = items()[turn % Math.max(1, items().length)];
       if (item && isVisible()) await this.update(item);
@@ -50,7 +53,9 @@ export class ItemUpdates {
     const { update, onError } = this.#callbacks;
     const running = this.#running.get(item);
     if (running) return running;
-    const started = update(item).catch((error) => onError(item, error)).finally(() => this.#running.delete(item));
+    const started = update(item)
+      .catch((error) => onError(item, error))
+      .finally(() => this.#running.delete(item));
     this.#running.set(item, started);
     return started;
   }

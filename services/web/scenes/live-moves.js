@@ -104,5 +104,11 @@ export class LiveMoves {
  */
 function goalOf({ position_m: position, rotation, scale }, milliseconds, isLast) {
   const turn = new THREE.Quaternion().fromArray(rotation).normalize();
-  return { position: new THREE.Vector3().fromArray(position), rotation: turn, scale, until: performance.now() + milliseconds, isLast };
+  return {
+    position: new THREE.Vector3().fromArray(position),
+    rotation: turn,
+    scale,
+    until: performance.now() + milliseconds,
+    isLast,
+  };
 }

@@ -43,7 +43,8 @@ export function showCaption(items, { title, wanted, failed, gone }) {
   const name = title || (items.length === 1 ? items[0].name : t('{count} objects', { count: items.length }));
   document.title = `${name} · capture2vr`;
   page.label.textContent = name;
-  page.summary.textContent = wanted === 1 && !title ? aboutOne(entries[0]) : aboutAll(entries, { title, wanted, failed, gone });
+  page.summary.textContent =
+    wanted === 1 && !title ? aboutOne(entries[0]) : aboutAll(entries, { title, wanted, failed, gone });
   page.canvas.ariaLabel = [name, page.summary.textContent].join(': ');
   page.description.textContent = items.length === 1 ? (entries[0].description ?? '') : '';
   page.description.hidden = !page.description.textContent;
@@ -70,12 +71,22 @@ function aboutAll(entries, { title, wanted, failed, gone }) {
   const count = title && (wanted === 1 ? t('1 object') : t('{count} objects', { count: wanted }));
   const more = coming > 0 ? t('{count} more on the way', { count: coming }) : '';
   const lost = gone.length > 0 ? t('Not here any more, deleted or taken back: {keys}', { keys: gone.join(', ') }) : '';
-  return [count, trianglesText(entries), more, failed > 0 ? t('{count} could not be loaded', { count: failed }) : '', lost].filter(Boolean).join(' · ');
+  return [
+    count,
+    trianglesText(entries),
+    more,
+    failed > 0 ? t('{count} could not be loaded', { count: failed }) : '',
+    lost,
+  ]
+    .filter(Boolean)
+    .join(' · ');
 }
 
 /** @param {SizeM} size */
 function sizeText(size) {
-  return size.map((side) => (side < 1 ? `${(side * 100).toFixed(0)} cm` : `${formatNumber(side.toFixed(2))} m`)).join(' × ');
+  return size
+    .map((side) => (side < 1 ? `${(side * 100).toFixed(0)} cm` : `${formatNumber(side.toFixed(2))} m`))
+    .join(' × ');
 }
 
 /** @param {AssetEntry[]} entries */
@@ -96,7 +107,16 @@ export function showList(items, { selected, onSelect, onRemove }) {
   const focus = document.activeElement;
   const action = focus instanceof HTMLElement && page.list.contains(focus) ? focus.dataset.act : undefined;
   page.list.hidden = items.length < 2;
-  page.list.replaceChildren(...items.map((item) => createListItem(item, item === selected, () => onSelect(item), () => onRemove(item))));
+  page.list.replaceChildren(
+    ...items.map((item) =>
+      createListItem(
+        item,
+        item === selected,
+        () => onSelect(item),
+        () => onRemove(item),
+      ),
+    ),
+  );
   if (action) [...page.list.querySelectorAll('button')].find(({ dataset }) => dataset.act === action)?.focus();
 }
 

@@ -32,7 +32,9 @@ export function loadPlacement(key) {
  */
 export function savePlacement(key, { offset_m: offset, turn, scale }) {
   const numbers = [...offset, ...turn, scale].map((value) => Number(value.toFixed(5)));
-  if (placementFrom(numbers)) saveRows([...loadRows().filter(([name]) => name !== key), /** @type {Row} */ ([key, numbers])].slice(-MOST));
+  if (placementFrom(numbers)) {
+    saveRows([...loadRows().filter(([name]) => name !== key), /** @type {Row} */ ([key, numbers])].slice(-MOST));
+  }
 }
 
 /**
@@ -54,7 +56,9 @@ function placementFrom(stored) {
   const numbers = stored;
   const [offset, turn, scale] = [numbers.slice(0, 3), numbers.slice(3, 7), numbers[7]];
   const length = Math.hypot(...turn);
-  if (Math.hypot(...offset) > FAR_M || Math.abs(length - 1) > 0.01 || scale < SCALES[0] || scale > SCALES[1]) return null;
+  if (Math.hypot(...offset) > FAR_M || Math.abs(length - 1) > 0.01 || scale < SCALES[0] || scale > SCALES[1]) {
+    return null;
+  }
   return { offset_m: offset, turn: turn.map((value) => value / length), scale };
 }
 
@@ -63,7 +67,9 @@ function loadRows() {
   try {
     /** @type {unknown} */
     const stored = JSON.parse(localStorage.getItem(STORAGE_KEY) ?? 'null');
-    return Array.isArray(stored) ? stored.filter((row) => Array.isArray(row) && typeof row[0] === 'string').slice(-MOST) : [];
+    return Array.isArray(stored)
+      ? stored.filter((row) => Array.isArray(row) && typeof row[0] === 'string').slice(-MOST)
+      : [];
   } catch {
     return [];
   }

@@ -72,7 +72,10 @@ export class SavedScene {
    * @param {PlacedAsset} placed
    */
   isSaved(placed) {
-    return isSame(placed, this.#document.items.find(({ id }) => id === placed.id));
+    return isSame(
+      placed,
+      this.#document.items.find(({ id }) => id === placed.id),
+    );
   }
 
   /**

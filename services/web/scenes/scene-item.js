@@ -158,7 +158,10 @@ export class SceneItem {
   /** Its box in the frame of its group, in metres. */
   get box() {
     const [width, height, depth] = this.#size;
-    return new THREE.Box3(new THREE.Vector3(-width / 2, 0, -depth / 2), new THREE.Vector3(width / 2, height, depth / 2));
+    return new THREE.Box3(
+      new THREE.Vector3(-width / 2, 0, -depth / 2),
+      new THREE.Vector3(width / 2, height, depth / 2),
+    );
   }
 
   /**
@@ -210,7 +213,11 @@ export class SceneItem {
   get pose() {
     const { position, quaternion, scale } = this.group;
     const rounded = (/** @type {number[]} */ numbers) => numbers.map((value) => Number(value.toFixed(DIGITS)) + 0); // + 0: no -0
-    return { position_m: rounded(position.toArray()), rotation: rounded(quaternion.clone().normalize().toArray()), scale: Number(scale.x.toFixed(DIGITS)) };
+    return {
+      position_m: rounded(position.toArray()),
+      rotation: rounded(quaternion.clone().normalize().toArray()),
+      scale: Number(scale.x.toFixed(DIGITS)),
+    };
   }
 
   /** Saves where the item stands now. */
@@ -220,7 +227,11 @@ export class SceneItem {
       return;
     }
     const offset = this.group.position.clone().sub(this.home);
-    savePlacement(this.key, { offset_m: offset.toArray(), turn: this.group.quaternion.toArray(), scale: this.group.scale.x });
+    savePlacement(this.key, {
+      offset_m: offset.toArray(),
+      turn: this.group.quaternion.toArray(),
+      scale: this.group.scale.x,
+    });
   }
 
   /** Puts the item back to its default place, in a scene to where that had it before it was moved here. */

@@ -34,7 +34,11 @@ export function mergeScenes(base, mine, theirs) {
  * @param {SceneContent} other
  */
 export function isSameContent(one, other) {
-  return one.name === other.name && one.items.length === other.items.length && one.items.every((item, place) => isSame(item, other.items[place]));
+  return (
+    one.name === other.name &&
+    one.items.length === other.items.length &&
+    one.items.every((item, place) => isSame(item, other.items[place]))
+  );
 }
 
 /**

@@ -96,7 +96,13 @@ export class Shadows {
     const known = this.#casts.get(item);
     if (known) return known;
     /** @type {Cast} */
-    const cast = { shadow: new ContactShadow(), isReady: false, level: undefined, pose: new THREE.Matrix4(), offset: new THREE.Vector3() };
+    const cast = {
+      shadow: new ContactShadow(),
+      isReady: false,
+      level: undefined,
+      pose: new THREE.Matrix4(),
+      offset: new THREE.Vector3(),
+    };
     this.#casts.set(item, cast);
     cast.shadow.object.visible = false;
     this.#root.add(cast.shadow.object);
@@ -114,9 +120,14 @@ export class Shadows {
  * @param {Cast} cast
  */
 function changeOf({ group, model }, cast) {
-  const pose = group.matrix.compose(group.position, group.quaternion, group.scale).clone().setPosition(0, group.position.y, 0);
+  const pose = group.matrix
+    .compose(group.position, group.quaternion, group.scale)
+    .clone()
+    .setPosition(0, group.position.y, 0);
   const level = model.coarsest;
-  return level && (level !== cast.level || !pose.equals(cast.pose)) ? { level, pose, position: group.position.clone() } : null;
+  return level && (level !== cast.level || !pose.equals(cast.pose))
+    ? { level, pose, position: group.position.clone() }
+    : null;
 }
 
 /**

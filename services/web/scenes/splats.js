@@ -19,7 +19,8 @@ let drawing = null; // one for all scenes of the page: it keeps buffers on the g
 export async function showSplats(item, bytes, { renderer, scene }, redraw) {
   const { model } = item;
   const splats = await new SplatMesh({ fileBytes: new Uint8Array(bytes), fileName: 'asset.spz' }).initialized;
-  if (item.model !== model) { // a newer version has come, or the item is gone
+  if (item.model !== model) {
+    // a newer version has come, or the item is gone
     splats.dispose();
     return;
   }

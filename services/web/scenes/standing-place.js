@@ -4,7 +4,9 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 const CANDIDATES = 7; // along each side of the inner half of the floor
 const EYE_M = 1.5; // above the floor
 const ROOM_M = 1; // around the eyes; more of it makes no place better
-const DIRECTIONS = [0, 1, 2, 3, 4, 5, 6, 7].map((turn) => new THREE.Vector3(Math.cos((turn * Math.PI) / 4), 0, Math.sin((turn * Math.PI) / 4)));
+const DIRECTIONS = [0, 1, 2, 3, 4, 5, 6, 7].map(
+  (turn) => new THREE.Vector3(Math.cos((turn * Math.PI) / 4), 0, Math.sin((turn * Math.PI) / 4)),
+);
 const DOWN = new THREE.Vector3(0, -1, 0);
 
 /**
@@ -24,7 +26,10 @@ export function findStandingPlace(mesh, box) {
       const eye = middle.clone().add(new THREE.Vector3((x * size.x) / 2, EYE_M, (z * size.z) / 2));
       const floor = firstHit(raycaster, mesh, eye, DOWN);
       if (!floor) continue;
-      const room = Math.min(ROOM_M, ...DIRECTIONS.map((direction) => firstHit(raycaster, mesh, eye, direction)?.distance ?? Infinity));
+      const room = Math.min(
+        ROOM_M,
+        ...DIRECTIONS.map((direction) => firstHit(raycaster, mesh, eye, direction)?.distance ?? Infinity),
+      );
       const away = Math.hypot(eye.x - middle.x, eye.z - middle.z);
       if (room > best.room || (room === best.room && away < best.away)) best = { place: floor.point, room, away };
     }

@@ -122,7 +122,9 @@ export class Tileset {
   #keepBudget() {
     const allowed = this.#tiles.errorTarget;
     if (this.triangles > MOST_TRIANGLES) this.#tiles.errorTarget = Math.min(COARSEST_PX, allowed * EASE);
-    else if (this.triangles < ROOM_TO_SPARE * MOST_TRIANGLES) this.#tiles.errorTarget = Math.max(FINE_ENOUGH_PX, allowed / EASE);
+    else if (this.triangles < ROOM_TO_SPARE * MOST_TRIANGLES) {
+      this.#tiles.errorTarget = Math.max(FINE_ENOUGH_PX, allowed / EASE);
+    }
   }
 
   /**
@@ -169,7 +171,9 @@ function baseName(address) {
 function trianglesOf(scene) {
   let count = 0;
   scene.traverse((node) => {
-    if (node instanceof THREE.Mesh) count += (node.geometry.index?.count ?? node.geometry.attributes.position.count) / 3;
+    if (node instanceof THREE.Mesh) {
+      count += (node.geometry.index?.count ?? node.geometry.attributes.position.count) / 3;
+    }
   });
   return count;
 }

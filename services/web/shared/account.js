@@ -37,7 +37,9 @@ function createLogin() {
 /** @param {Session} session */
 function createAccount({ tenant }) {
   const leave = create('button', { type: 'button', className: 'link', textContent: t('Sign out') });
-  leave.addEventListener('click', () => signOut().catch(() => (leave.textContent = t('The server does not answer. Try again'))));
+  leave.addEventListener('click', () =>
+    signOut().catch(() => (leave.textContent = t('The server does not answer. Try again'))),
+  );
   const name = create('span', { textContent: tenant, title: t('Who is logged in') });
   return [name, create('a', { href: '/pair', textContent: t('Pair a device') }), leave];
 }

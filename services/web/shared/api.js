@@ -174,7 +174,11 @@ export async function deleteAt(url) {
 export async function outlinePhoto(photo, box) {
   const form = new FormData();
   form.append('files', photo, photo.name);
-  const { response, bytes } = await fetchBytes(captureAddress('/v1/outlines', { box, continues: '' }), { method: 'POST', body: form, silenceMs: UPLOAD_CHECK_MS });
+  const { response, bytes } = await fetchBytes(captureAddress('/v1/outlines', { box, continues: '' }), {
+    method: 'POST',
+    body: form,
+    silenceMs: UPLOAD_CHECK_MS,
+  });
   return parseAnswer(response.status, decodeText(bytes));
 }
 
@@ -271,5 +275,8 @@ export function followJob(id, { onProgress, onAnchors, onChange, onLost }) {
  */
 export function keyFrom(name) {
   const plain = name.normalize('NFKD').replace(/[\u0300-\u036f]/g, '');
-  return plain.replace(/[^A-Za-z0-9._-]+/g, '-').replace(/^[^A-Za-z0-9]+|[-._]+$/g, '').slice(0, 100);
+  return plain
+    .replace(/[^A-Za-z0-9._-]+/g, '-')
+    .replace(/^[^A-Za-z0-9]+|[-._]+$/g, '')
+    .slice(0, 100);
 }

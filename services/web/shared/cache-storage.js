@@ -51,7 +51,9 @@ export async function readEntry(cache, key, sha256) {
     const response = await cache.match(key);
     if (!response) return null;
     const bytes = await response.arrayBuffer().catch(() => new ArrayBuffer(0));
-    if ((await checksum(bytes)) === (sha256 ?? response.headers.get(CHECKSUM))) return { bytes, headers: response.headers };
+    if ((await checksum(bytes)) === (sha256 ?? response.headers.get(CHECKSUM))) {
+      return { bytes, headers: response.headers };
+    }
     await cache.delete(key);
     return null;
   }, null);

@@ -47,9 +47,17 @@ export function formatBytes(bytes) {
 /** @typedef {[least: number, size: number, name: string]} Unit from which value on it is used, and what it is of the unit of all */
 
 /** @type {Unit[]} */
-const LENGTHS = [[1, 1, 'm'], [0.01, 0.01, 'cm'], [0, 0.001, 'mm']];
+const LENGTHS = [
+  [1, 1, 'm'],
+  [0.01, 0.01, 'cm'],
+  [0, 0.001, 'mm'],
+];
 /** @type {Unit[]} */
-const AREAS = [[0.1, 1, 'm²'], [1e-4, 1e-4, 'cm²'], [0, 1e-6, 'mm²']];
+const AREAS = [
+  [0.1, 1, 'm²'],
+  [1e-4, 1e-4, 'cm²'],
+  [0, 1e-6, 'mm²'],
+];
 const MOST_DECIMALS = 3;
 
 /**
@@ -71,7 +79,8 @@ export const formatArea = (area, error = null) => inUnit(area, error, AREAS);
  * @param {number} degrees
  * @param {number | null} [error]
  */
-export const formatAngle = (degrees, error = null) => (error === null ? `${formatNumber(degrees.toFixed(1))}°` : `${withError(degrees, error)}°`);
+export const formatAngle = (degrees, error = null) =>
+  error === null ? `${formatNumber(degrees.toFixed(1))}°` : `${withError(degrees, error)}°`;
 
 /**
  * @param {number} value

@@ -44,7 +44,8 @@ export function startUploadProgress() {
  */
 export function showUploadProgress(fraction) {
   page.bar.value = fraction;
-  page.detail.textContent = fraction < 1 ? t('{percent} % sent', { percent: Math.round(fraction * 100) }) : t('Checking what was sent');
+  page.detail.textContent =
+    fraction < 1 ? t('{percent} % sent', { percent: Math.round(fraction * 100) }) : t('Checking what was sent');
 }
 
 /**
@@ -52,7 +53,9 @@ export function showUploadProgress(fraction) {
  * @param {number} fraction
  */
 export function showUploadWaits(fraction) {
-  page.detail.textContent = t('{percent} % sent. The connection is lost; it goes on by itself.', { percent: Math.round(fraction * 100) });
+  page.detail.textContent = t('{percent} % sent. The connection is lost; it goes on by itself.', {
+    percent: Math.round(fraction * 100),
+  });
 }
 
 /** Shows the stages of a job that begins. */
@@ -70,7 +73,10 @@ export function showJobProgress({ stage, fraction, message = '', message_i18n: s
   if (typeof fraction === 'number') page.bar.value = Math.max(page.bar.value, fraction);
   const current = STAGES.findIndex(([name]) => name === stage);
   page.title.textContent = current < 0 ? t('Waiting for a worker') : STAGES[current][1];
-  const timeLeft = eta >= LEAST_ETA_S && !['s_left', 'min_left'].includes(said?.code ?? '') ? t('about {time} left', { time: durationText(eta) }) : '';
+  const timeLeft =
+    eta >= LEAST_ETA_S && !['s_left', 'min_left'].includes(said?.code ?? '')
+      ? t('about {time} left', { time: durationText(eta) })
+      : '';
   page.detail.textContent = [message, timeLeft].filter(Boolean).join(' · ');
   stageItems.forEach((item, place) => showStage(item, place - current));
   if (losses?.total) showLoss(losses.total);

@@ -116,10 +116,11 @@ export const forgetFiles = (id) => run('readwrite', (stores) => stores(FILES).de
  * Forgets a capture with all its files.
  * @param {string} id
  */
-export const forget = (id) => run('readwrite', (stores) => {
-  stores(FILES).delete(rangeOf(id));
-  return stores(CAPTURES).delete(id);
-});
+export const forget = (id) =>
+  run('readwrite', (stores) => {
+    stores(FILES).delete(rangeOf(id));
+    return stores(CAPTURES).delete(id);
+  });
 
 /**
  * A capture that begins now, as a draft.
@@ -127,7 +128,16 @@ export const forget = (id) => run('readwrite', (stores) => {
  * @returns {KeptCapture}
  */
 export const newKept = (made) => ({
-  ...made, created: Date.now(), state: 'draft', box: null, order: null, continues: '', upload: '', capture: '', job: '', trouble: '',
+  ...made,
+  created: Date.now(),
+  state: 'draft',
+  box: null,
+  order: null,
+  continues: '',
+  upload: '',
+  capture: '',
+  job: '',
+  trouble: '',
 });
 
 /** All files of a capture. @param {string} id */
@@ -144,12 +154,16 @@ const rangeOf = (id) => IDBKeyRange.bound([id], [id, []]); // an array sorts beh
  */
 async function run(mode, work) {
   const database = await withTimeLimit(open(), KEPT_STORAGE_MS);
-  return withTimeLimit(new Promise((resolve, reject) => {
-    const transaction = database.transaction([CAPTURES, FILES], mode, { durability: 'strict' });
-    const request = work((name) => transaction.objectStore(name));
-    transaction.oncomplete = () => resolve(request.result);
-    transaction.onabort = () => reject(transaction.error ?? new DOMException(t('The browser gave up.'), 'AbortError'));
-  }), KEPT_STORAGE_MS);
+  return withTimeLimit(
+    new Promise((resolve, reject) => {
+      const transaction = database.transaction([CAPTURES, FILES], mode, { durability: 'strict' });
+      const request = work((name) => transaction.objectStore(name));
+      transaction.oncomplete = () => resolve(request.result);
+      transaction.onabort = () =>
+        reject(transaction.error ?? new DOMException(t('The browser gave up.'), 'AbortError'));
+    }),
+    KEPT_STORAGE_MS,
+  );
 }
 
 /** @returns {Promise<IDBDatabase>} */
@@ -166,7 +180,8 @@ function open() {
       request.result.onclose = () => (opened = null);
       resolve(request.result);
     };
-    request.onerror = () => reject(request.error ?? new DOMException(t('The browser keeps nothing here.'), 'UnknownError'));
+    request.onerror = () =>
+      reject(request.error ?? new DOMException(t('The browser keeps nothing here.'), 'UnknownError'));
   });
   opened.catch(() => (opened = null)); // the next one tries again
   return opened;

@@ -18,26 +18,30 @@ export class Problem extends Error {
 const CHECK_CONNECTION = [t('Check the connection and try again.')];
 
 /** The server cannot be reached. */
-export const offline = () => new Problem({ code: 'OFFLINE', detail: t('The server cannot be reached.'), hints: CHECK_CONNECTION });
+export const offline = () =>
+  new Problem({ code: 'OFFLINE', detail: t('The server cannot be reached.'), hints: CHECK_CONNECTION });
 
 /** The server was silent for too long. */
-export const noAnswer = () => new Problem({ code: 'NO_ANSWER', detail: t('The server does not answer.'), hints: CHECK_CONNECTION });
+export const noAnswer = () =>
+  new Problem({ code: 'NO_ANSWER', detail: t('The server does not answer.'), hints: CHECK_CONNECTION });
 
 /** Somebody else has logged in meanwhile: what a page shows is not theirs, and what it would change is. */
-export const otherLogin = () => new Problem({
-  code: 'OTHER_LOGIN',
-  detail: t('Nothing was changed: in another tab of this browser, somebody else has logged in.'),
-  hints: [t('Log in again, or load this page anew.')],
-});
+export const otherLogin = () =>
+  new Problem({
+    code: 'OTHER_LOGIN',
+    detail: t('Nothing was changed: in another tab of this browser, somebody else has logged in.'),
+    hints: [t('Log in again, or load this page anew.')],
+  });
 
 const NO_CONTENT = 204;
 
 /** A file was loaded, but cannot be decoded. */
-export const undecodable = () => new Problem({
-  code: 'NOT_DECODED',
-  detail: t('The 3D file was loaded, but this browser could not open it.'),
-  hints: [t('Try again, or open this address in another browser.')],
-});
+export const undecodable = () =>
+  new Problem({
+    code: 'NOT_DECODED',
+    detail: t('The 3D file was loaded, but this browser could not open it.'),
+    hints: [t('Try again, or open this address in another browser.')],
+  });
 
 /**
  * Parse the body of an answer.
@@ -54,7 +58,11 @@ export function parseAnswer(status, text) {
   try {
     body = JSON.parse(text);
   } catch {
-    throw new Problem({ status, detail: t('The server answered {status}, with something that this page cannot read.', { status }), hints: [t('Try again later.')] });
+    throw new Problem({
+      status,
+      detail: t('The server answered {status}, with something that this page cannot read.', { status }),
+      hints: [t('Try again later.')],
+    });
   }
   if (status >= 200 && status < 300) return body;
   throw new Problem({ status, ...body });

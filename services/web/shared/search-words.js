@@ -4,7 +4,11 @@
  * "summer, , Wardrobe" -> ["summer", "Wardrobe"]
  * @param {string} text
  */
-export const splitWords = (text) => text.split(/[,;\n]/).map((word) => word.trim()).filter(Boolean);
+export const splitWords = (text) =>
+  text
+    .split(/[,;\n]/)
+    .map((word) => word.trim())
+    .filter(Boolean);
 
 /** @param {string[]} words */
 export const joinWords = (words) => words.join(', ');

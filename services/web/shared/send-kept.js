@@ -49,7 +49,9 @@ export async function sendKept(onSending = () => {}) {
  * Whether other captures would meet the same: no connection, nobody logged in, a limit, or a server in trouble.
  * @param {unknown} error
  */
-const holdsForAll = (error) => isConnectionProblem(error) || (error instanceof Problem && (error.status === 401 || error.status === 429 || error.status >= 500));
+const holdsForAll = (error) =>
+  isConnectionProblem(error) ||
+  (error instanceof Problem && (error.status === 401 || error.status === 429 || error.status >= 500));
 
 /**
  * Does something while nobody else of this browser sends kept captures.
@@ -93,7 +95,10 @@ async function sendOrRefuse(capture, onSending) {
  */
 async function beginAgain(capture) {
   await keep(Object.assign(capture, { upload: '' }));
-  return new Problem({ code: DAMAGED, detail: t('The server has lost a part of what was sent. The next try sends all of it again.') });
+  return new Problem({
+    code: DAMAGED,
+    detail: t('The server has lost a part of what was sent. The next try sends all of it again.'),
+  });
 }
 
 /**
@@ -104,7 +109,10 @@ async function beginAgain(capture) {
 async function send(capture, onSending) {
   if (!capture.capture) {
     const files = await readKeptFiles(capture.id);
-    const body = formOf(files.map((file) => ({ path: file.path, body: file.body })), capture.filetype);
+    const body = formOf(
+      files.map((file) => ({ path: file.path, body: file.body })),
+      capture.filetype,
+    );
     await upload(capture, body, (fraction) => onSending(capture, fraction));
     /** @type {CaptureReceipt} */
     const receipt = await ask(captureAddress(`${capture.upload}/capture`, capture), { method: 'POST' });
@@ -145,7 +153,12 @@ async function upload(capture, body, onProgress) {
     onProgress(offset / body.size);
     const headers = { ...TUS, 'Content-Type': 'application/offset+octet-stream', 'Upload-Offset': String(offset) };
     const chunk = body.slice(offset, offset + CHUNK_BYTES);
-    const { response, bytes } = await fetchBytes(capture.upload, { method: 'PATCH', headers, body: chunk, silenceMs: UPLOAD_CHECK_MS });
+    const { response, bytes } = await fetchBytes(capture.upload, {
+      method: 'PATCH',
+      headers,
+      body: chunk,
+      silenceMs: UPLOAD_CHECK_MS,
+    });
     if (!response.ok) parseAnswer(response.status, new TextDecoder().decode(bytes));
     offset += chunk.size;
   }
@@ -158,7 +171,9 @@ async function upload(capture, body, onProgress) {
  * @returns {Promise<string>} the upload's address
  */
 async function beginUpload(size, metadata) {
-  const told = Object.entries(metadata).map(([key, value]) => `${key} ${base64(value)}`).join(',');
+  const told = Object.entries(metadata)
+    .map(([key, value]) => `${key} ${base64(value)}`)
+    .join(',');
   const headers = { ...TUS, 'Upload-Length': String(size), 'Upload-Metadata': told };
   const { response, bytes } = await fetchBytes('/v1/uploads', { method: 'POST', headers });
   if (!response.ok) parseAnswer(response.status, new TextDecoder().decode(bytes));

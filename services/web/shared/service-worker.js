@@ -151,7 +151,9 @@ const decodeList = (bytes) => JSON.parse(new TextDecoder().decode(bytes));
  * @param {string[]} missing addresses; each is taken out before it is downloaded
  */
 async function downloadAll(cache, missing) {
-  for (let address = missing.shift(); address; address = missing.shift()) await storeShell(cache, cacheKey(address), await fetchShell(address));
+  for (let address = missing.shift(); address; address = missing.shift()) {
+    await storeShell(cache, cacheKey(address), await fetchShell(address));
+  }
 }
 
 /**
@@ -170,5 +172,7 @@ async function fetchShell(address) {
  * @param {{response: Response, bytes: ArrayBuffer}} content
  */
 async function storeShell(cache, key, { response, bytes }) {
-  if (!(await writeEntry(cache, key, bytes, response.headers))) throw new Error('The device has no room for the pages.');
+  if (!(await writeEntry(cache, key, bytes, response.headers))) {
+    throw new Error('The device has no room for the pages.');
+  }
 }

@@ -18,7 +18,9 @@
 
   /** Whether the style sheets are there: until then a browser draws nothing, though scripts may run. */
   function hasStyle() {
-    return [...document.querySelectorAll('link[rel=stylesheet]')].every((link) => /** @type {HTMLLinkElement} */ (link).sheet);
+    return [...document.querySelectorAll('link[rel=stylesheet]')].every(
+      (link) => /** @type {HTMLLinkElement} */ (link).sheet,
+    );
   }
 
   /**
@@ -44,8 +46,9 @@
   function panel() {
     const made = document.createElement('section');
     made.setAttribute('role', 'alert');
-    made.style.cssText = 'position:fixed;inset:0;z-index:9;display:flex;flex-direction:column;gap:1rem;align-items:center;justify-content:center;'
-      + 'padding:1.5rem;text-align:center;color-scheme:light dark;background:Canvas;color:CanvasText;font:17px/1.45 system-ui,sans-serif';
+    made.style.cssText =
+      'position:fixed;inset:0;z-index:9;display:flex;flex-direction:column;gap:1rem;align-items:center;justify-content:center;' +
+      'padding:1.5rem;text-align:center;color-scheme:light dark;background:Canvas;color:CanvasText;font:17px/1.45 system-ui,sans-serif';
     const text = document.createElement('p');
     text.textContent = t('This page could not be loaded completely. Check the connection and try again.');
     text.style.cssText = 'margin:0;max-width:24rem';

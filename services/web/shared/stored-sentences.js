@@ -23,13 +23,15 @@ export async function loadSentences() {
 export function stored(english, coded) {
   if (!coded || language === 'en') return english;
   const { code, values } = coded;
-  if (code === 'row' && Array.isArray(values.parts)) return values.parts.map((part) => shown(part)).join(String(values.joint));
+  if (code === 'row' && Array.isArray(values.parts)) {
+    return values.parts.map((part) => shown(part)).join(String(values.joint));
+  }
   if (code === 'capital') return capitalised(shown(values.part));
   const text = Object.hasOwn(catalogue, code) ? catalogue[code] : undefined;
   if (text === undefined) return english;
-  return text.replace(/\{(\w+)(?::([^{}]*))?\}/g, (whole, name, format = '') => (
-    Object.hasOwn(values, name) ? shown(values[name], format) : whole
-  ));
+  return text.replace(/\{(\w+)(?::([^{}]*))?\}/g, (whole, name, format = '') =>
+    Object.hasOwn(values, name) ? shown(values[name], format) : whole,
+  );
 }
 
 /**
@@ -60,9 +62,10 @@ function numberText(value, format) {
 }
 
 /** @param {string} [places] */
-const fixedDigits = (places) => (places === undefined
-  ? { maximumFractionDigits: 15 }
-  : { minimumFractionDigits: Number(places), maximumFractionDigits: Number(places) });
+const fixedDigits = (places) =>
+  places === undefined
+    ? { maximumFractionDigits: 15 }
+    : { minimumFractionDigits: Number(places), maximumFractionDigits: Number(places) };
 
 /** @param {string} text */
 const capitalised = (text) => text.charAt(0).toUpperCase() + text.slice(1);

@@ -54,7 +54,11 @@ export const PHOTO_MS = 6_000;
  * @param {() => Error} [makeError] makes the error with which it rejects once the time is over
  * @returns {Promise<T>}
  */
-export function withTimeLimit(promise, limitMs, makeError = () => new DOMException(t('The time limit is over.'), 'TimeoutError')) {
+export function withTimeLimit(
+  promise,
+  limitMs,
+  makeError = () => new DOMException(t('The time limit is over.'), 'TimeoutError'),
+) {
   return new Promise((resolve, reject) => {
     const timer = setTimeout(() => reject(makeError()), limitMs);
     promise.then(resolve, reject).finally(() => clearTimeout(timer));

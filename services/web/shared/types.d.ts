@@ -174,7 +174,7 @@ export interface QualityFigures {
 }
 
 /** A value of a sentence: a text, a number, or a sentence with its English. */
-export type SentenceValue = string | number | SentenceCode & { text?: string } | SentenceValue[];
+export type SentenceValue = string | number | (SentenceCode & { text?: string }) | SentenceValue[];
 
 /** What a sentence beside it is made from, whatever its language. */
 export interface SentenceCode {

@@ -15,7 +15,9 @@
  * @param {About} about
  */
 export function captureAddress(path, { box, continues }) {
-  const query = [box && `box=${box.join(',')}`, continues && `continues=${encodeURIComponent(continues)}`].filter(Boolean);
+  const query = [box && `box=${box.join(',')}`, continues && `continues=${encodeURIComponent(continues)}`].filter(
+    Boolean,
+  );
   return query.length ? `${path}?${query.join('&')}` : path;
 }
 

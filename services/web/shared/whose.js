@@ -47,7 +47,9 @@ export function showAsVisitor() {
  * @returns {string}
  */
 export function ofShownTenant(address) {
-  return shownTenant ? `${address}${address.includes('?') ? '&' : '?'}tenant=${encodeURIComponent(shownTenant)}` : address;
+  return shownTenant
+    ? `${address}${address.includes('?') ? '&' : '?'}tenant=${encodeURIComponent(shownTenant)}`
+    : address;
 }
 
 /**

@@ -17,7 +17,11 @@ const VERDICTS = {
 /** @type {Record<string, string>} */
 const KEPT = { object: t('the object without its surroundings'), scene: t('everything that was seen') };
 /** @type {Record<string, string>} */
-const SCALES = { metric: t('Its size was measured.'), estimated: t('Its size was estimated.'), unknown: t('Its true size is not known.') };
+const SCALES = {
+  metric: t('Its size was measured.'),
+  estimated: t('Its size was estimated.'),
+  unknown: t('Its true size is not known.'),
+};
 /** @type {Record<string, string>} */
 const UP_TELLERS = {
   person: t('by a person'),
@@ -69,13 +73,26 @@ function sectionsOf(entry, manifest) {
  * @param {QualityFigures} quality
  * @param {AssetEntry} entry
  */
-function qualityLines({ held_out: heldOut, held_out_mean: distance, coverage, components, boundary_loops: borders, verdict, photos }, entry) {
+function qualityLines(
+  { held_out: heldOut, held_out_mean: distance, coverage, components, boundary_loops: borders, verdict, photos },
+  entry,
+) {
   const points = heldOut ? t('points that were kept aside to test it') : t('the points that it was made from');
   return [
-    coverage === undefined ? '' : t('{closeness}: {percent} of {points} lie on it, to within the distance from one to the next.', { closeness: closeness(coverage), percent: percent(coverage), points }),
+    coverage === undefined
+      ? ''
+      : t('{closeness}: {percent} of {points} lie on it, to within the distance from one to the next.', {
+          closeness: closeness(coverage),
+          percent: percent(coverage),
+          points,
+        }),
     distance === undefined ? '' : distanceText(distance, entry),
-    photos ? t('{percent} of what photos that were kept aside show of it is there.', { percent: percent(photos.cover) }) : '',
-    components === undefined || borders === undefined ? '' : t('It has {pieces} and {borders}.', { pieces: piecesText(components), borders: bordersText(borders) }),
+    photos
+      ? t('{percent} of what photos that were kept aside show of it is there.', { percent: percent(photos.cover) })
+      : '',
+    components === undefined || borders === undefined
+      ? ''
+      : t('It has {pieces} and {borders}.', { pieces: piecesText(components), borders: bordersText(borders) }),
     VERDICTS[verdict ?? ''] ?? '',
   ].filter(Boolean);
 }
@@ -93,40 +110,67 @@ function closeness(coverage) {
  */
 function distanceText(share, { size_m: size, scale_confidence: confidence }) {
   const percentage = formatNumber((100 * share).toPrecision(2));
-  if (confidence === 'unknown') return t('On average they are {percentage} % of its size away from it.', { percentage });
+  if (confidence === 'unknown') {
+    return t('On average they are {percentage} % of its size away from it.', { percentage });
+  }
   const millimetres = formatNumber((1000 * share * Math.max(...size)).toPrecision(2));
-  return t('On average they are {millimetres} mm, {percentage} % of its size, away from it.', { millimetres, percentage });
+  return t('On average they are {millimetres} mm, {percentage} % of its size, away from it.', {
+    millimetres,
+    percentage,
+  });
 }
 
 /**
  * @param {AssetEntry} entry
  * @param {Manifest} manifest
  */
-function originLines(entry, { capture = {}, preset, preset_because: because, preset_because_i18n: becauseCode, target, generator }) {
+function originLines(
+  entry,
+  { capture = {}, preset, preset_because: because, preset_because_i18n: becauseCode, target, generator },
+) {
   const made = entry.versions?.find(({ version }) => version === entry.version)?.created;
   const { cut, up } = capture;
   return [
     captureText(capture),
-    cut ? t('Kept: {what}; {because}.', { what: KEPT[cut.kept] ?? cut.kept, because: stored(cut.because, cut.because_i18n) }) : '',
+    cut
+      ? t('Kept: {what}; {because}.', {
+          what: KEPT[cut.kept] ?? cut.kept,
+          because: stored(cut.because, cut.because_i18n),
+        })
+      : '',
     SCALES[entry.scale_confidence] ?? '',
-    up ? t('Which way is up was told {how}, with {percent} confidence.', { how: UP_TELLERS[up.source] ?? up.source, percent: percent(up.confidence) }) : '',
-    preset ? `${[t('Preset {preset}', { preset }), because && t('as {because}', { because: stored(because, becauseCode) }), target && t('for {target}', { target })].filter(Boolean).join(', ')}.` : '',
+    up
+      ? t('Which way is up was told {how}, with {percent} confidence.', {
+          how: UP_TELLERS[up.source] ?? up.source,
+          percent: percent(up.confidence),
+        })
+      : '',
+    preset
+      ? `${[t('Preset {preset}', { preset }), because && t('as {because}', { because: stored(because, becauseCode) }), target && t('for {target}', { target })].filter(Boolean).join(', ')}.`
+      : '',
     `${[
       t('Version {version}', { version: entry.version }),
       stateText(entry.state),
       made && t('of {date}', { date: new Date(made).toLocaleDateString(undefined, { dateStyle: 'long' }) }),
       generator && t('by {program}', { program: generator }),
-    ].filter(Boolean).join(', ')}.`,
+    ]
+      .filter(Boolean)
+      .join(', ')}.`,
   ].filter(Boolean);
 }
 
 /** @param {CaptureSummary} capture */
 function captureText({ kind, format, frames, photos = [] }) {
   const unused = photos.filter(({ verdict }) => verdict !== 'ok').length;
-  if (kind === 'image') return t('Guessed from one photo: what the photo does not show looks as objects of its kind do.');
+  if (kind === 'image') {
+    return t('Guessed from one photo: what the photo does not show looks as objects of its kind do.');
+  }
   if (kind === 'points') return t('Made from a scan ({format}).', { format: format ?? '' });
   if (!frames) return '';
-  return madeFrom(frames, format === 'video' ? 'video' : kind) + (unused ? ` ${t('{count} of them could not be used.', { count: unused })}` : '');
+  return (
+    madeFrom(frames, format === 'video' ? 'video' : kind) +
+    (unused ? ` ${t('{count} of them could not be used.', { count: unused })}` : '')
+  );
 }
 
 /**
@@ -135,7 +179,9 @@ function captureText({ kind, format, frames, photos = [] }) {
  */
 function madeFrom(count, kind) {
   if (kind === 'video') return t('Made from {count} pictures of a video.', { count });
-  return kind === 'photos' ? t('Made from {count} photos.', { count }) : t('Made from {count} depth pictures.', { count });
+  return kind === 'photos'
+    ? t('Made from {count} photos.', { count })
+    : t('Made from {count} depth pictures.', { count });
 }
 
 /** @param {number} share */

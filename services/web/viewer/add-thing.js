@@ -29,7 +29,11 @@ export async function showAdding(onChoose, collection) {
   const search = new ThingSearch();
   let timer = 0;
   const find = async (/** @type {string[] | null} */ pages) => {
-    const found = await search.find(panel.collection.value.trim() || 'default', panel.search.value.trim(), pages ?? undefined);
+    const found = await search.find(
+      panel.collection.value.trim() || 'default',
+      panel.search.value.trim(),
+      pages ?? undefined,
+    );
     if (!found) return; // somebody has typed on meanwhile
     panel.list.replaceChildren(...found.map((asset) => createChoice(asset, onChoose)));
     panel.said.textContent = found.length === 0 ? t('Nothing has that name or tag.') : '';
@@ -60,7 +64,10 @@ export async function showAdding(onChoose, collection) {
 function createChoice({ key, label, preview }, onChoose) {
   const item = create('li');
   const button = create('button', { type: 'button' });
-  button.append(create('img', { alt: '', src: preview || '/web/shared/icon.svg', width: 72, height: 72, loading: 'lazy' }), create('span', { textContent: label, dir: 'auto' }));
+  button.append(
+    create('img', { alt: '', src: preview || '/web/shared/icon.svg', width: 72, height: 72, loading: 'lazy' }),
+    create('span', { textContent: label, dir: 'auto' }),
+  );
   button.addEventListener('click', () => onChoose(key));
   item.append(button);
   return item;

@@ -6,7 +6,16 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 
 const STEP = Math.PI / 12; // by one key press
 const CLOSER = 0.85; // of the distance, by one key press
-const SIDES = [t('the front'), t('the front right'), t('the right'), t('the back right'), t('the back'), t('the back left'), t('the left'), t('the front left')];
+const SIDES = [
+  t('the front'),
+  t('the front right'),
+  t('the right'),
+  t('the back right'),
+  t('the back'),
+  t('the back left'),
+  t('the left'),
+  t('the front left'),
+];
 const [ABOVE, BELOW] = [0.5, -0.1]; // sine of the angle over the floor from which on the view counts as from above, or below which as from below
 
 /** @type {Map<string, (controls: OrbitControls) => void>} */

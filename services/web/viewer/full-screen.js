@@ -9,5 +9,7 @@ export function startFullScreen() {
     const done = document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen();
     done.catch(() => (button.hidden = true)); // the device refused: it will again
   });
-  document.addEventListener('fullscreenchange', () => button.setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))));
+  document.addEventListener('fullscreenchange', () =>
+    button.setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))),
+  );
 }

@@ -30,7 +30,10 @@ export function drawMeasurements(group, measurements) {
  */
 function sidesOf(kind, points, isComplete) {
   const closed = kind === 'area' && isComplete ? [...points, points[0]] : points;
-  return closed.slice(1).map((end, place) => [closed[place], end]).filter(([start, end]) => start.distanceTo(end) > 0);
+  return closed
+    .slice(1)
+    .map((end, place) => [closed[place], end])
+    .filter(([start, end]) => start.distanceTo(end) > 0);
 }
 
 /**

@@ -79,7 +79,9 @@ function angleSlope([a, b, c]) {
  * @param {THREE.Vector3[]} loop
  */
 function areaSlope(loop) {
-  return Math.hypot(...loop.map((_, place) => loop.at(place - 1)?.distanceTo(loop[(place + 1) % loop.length]) ?? 0)) / 2;
+  return (
+    Math.hypot(...loop.map((_, place) => loop.at(place - 1)?.distanceTo(loop[(place + 1) % loop.length]) ?? 0)) / 2
+  );
 }
 
 /**
@@ -102,12 +104,17 @@ export function valueText(measurement, accuracy) {
  */
 export function detailText({ kind, points, value }, { confidence, longest_m: longest }) {
   if (confidence === 'unknown' && kind !== 'angle') {
-    return kind === 'area' ? t('As if its size were the one that is shown.') : t('{percent} % of its longest side.', { percent: formatRounded((100 * value) / longest) });
+    return kind === 'area'
+      ? t('As if its size were the one that is shown.')
+      : t('{percent} % of its longest side.', { percent: formatRounded((100 * value) / longest) });
   }
   if (kind === 'height') return t('Above its lowest point.');
   if (kind !== 'distance') return '';
   const way = points[1].clone().sub(points[0]);
-  return t('{up} upward, {across} across.', { up: formatLength(Math.abs(way.y)), across: formatLength(Math.hypot(way.x, way.z)) });
+  return t('{up} upward, {across} across.', {
+    up: formatLength(Math.abs(way.y)),
+    across: formatLength(Math.hypot(way.x, way.z)),
+  });
 }
 
 /**
@@ -122,7 +129,10 @@ export function scaleSentences(entry, manifest) {
   const scales = {
     metric: t('Its size was measured by what captured it.'),
     estimated: length
-      ? t('Its size was set by a length of {length} between two points that a person gave: figures are as good as that.', { length: formatLength(length.metres) })
+      ? t(
+          'Its size was set by a length of {length} between two points that a person gave: figures are as good as that.',
+          { length: formatLength(length.metres) },
+        )
       : t('Its size was set by a length that a person gave: figures are as good as that.'),
     unknown: t('Its true size is not known: angles hold, and lengths only against each other.'),
   };
@@ -130,14 +140,21 @@ export function scaleSentences(entry, manifest) {
     entry.origin === 'guess' ? t('Its shape is a guess from one photo.') : '',
     scales[confidence] ?? scales.unknown,
     point === null ? t('How near its surface is to what was captured is not known.') : surfaceText(confidence),
-    manifest.capture?.up === null ? t('Which way is up was not told: heights are along the Y axis of the capture.') : '',
-  ].filter(Boolean).join(' ');
+    manifest.capture?.up === null
+      ? t('Which way is up was not told: heights are along the Y axis of the capture.')
+      : '',
+  ]
+    .filter(Boolean)
+    .join(' ');
 }
 
 /** @param {string} confidence of the scale */
-const surfaceText = (confidence) => (confidence === 'estimated'
-  ? t('± tells how near its surface is to what was captured, and what that means for its size; it does not tell how well you chose the points.')
-  : t('± tells how near its surface is to what was captured; it does not tell how well you chose the points.'));
+const surfaceText = (confidence) =>
+  confidence === 'estimated'
+    ? t(
+        '± tells how near its surface is to what was captured, and what that means for its size; it does not tell how well you chose the points.',
+      )
+    : t('± tells how near its surface is to what was captured; it does not tell how well you chose the points.');
 
 /**
  * The triangles of what is drawn, in the frame of another object. The corners are used again for the next.
@@ -156,7 +173,9 @@ export function* trianglesOf(surface, frame) {
     const { index } = mesh.geometry;
     const count = index ? index.count : mesh.geometry.getAttribute('position').count;
     for (let first = 0; first + 2 < count; first += 3) {
-      corners.forEach((corner, place) => mesh.getVertexPosition(index ? index.getX(first + place) : first + place, corner).applyMatrix4(toFrame));
+      corners.forEach((corner, place) =>
+        mesh.getVertexPosition(index ? index.getX(first + place) : first + place, corner).applyMatrix4(toFrame),
+      );
       yield corners;
     }
   }

@@ -1,7 +1,16 @@
 // The panel of the viewer's page that measures a thing: distances, angles, heights and areas between points that are chosen on it.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { drawMeasurements } from './measure-marks.js';
-import { LEAST_LOOP, POINTS, accuracyOf, detailText, measure, scaleSentences, trianglesOf, valueText } from './measurement.js';
+import {
+  LEAST_LOOP,
+  POINTS,
+  accuracyOf,
+  detailText,
+  measure,
+  scaleSentences,
+  trianglesOf,
+  valueText,
+} from './measurement.js';
 import { pick, watchTaps } from '../graphics/picking.js';
 import { create, element } from '../shared/dom.js';
 import { t } from '../shared/texts.js';
@@ -25,7 +34,12 @@ const PROMPTS = {
   distance: [t('Choose a point on it.'), t('And the other one.')],
   angle: [t('Choose a point on one side of the angle.'), t('Now its corner.'), t('And a point on its other side.')],
   height: [t('Choose the point whose height you want.')],
-  area: [t('Choose the points around it, one after the other.'), t('The next one.'), t('The next one.'), t('The next one, or close the loop.')],
+  area: [
+    t('Choose the points around it, one after the other.'),
+    t('The next one.'),
+    t('The next one.'),
+    t('The next one, or close the loop.'),
+  ],
 };
 const NOTHING_THERE = t('There is nothing of it. Choose a point on the object.');
 const CROSSES = t('The lines of this loop cross, so it has no inside. Take the last point back.');
@@ -75,10 +89,16 @@ export class Measuring {
     this.#stage = stage;
     this.#callbacks = callbacks;
     item.group.add(this.#marks);
-    watchTaps(panel.canvas, (place) => this.#tap(place), () => this.#cross);
+    watchTaps(
+      panel.canvas,
+      (place) => this.#tap(place),
+      () => this.#cross,
+    );
     panel.canvas.addEventListener('keydown', (event) => this.#moveCross(event), { capture: true });
     document.addEventListener('keydown', (event) => this.#leave(event));
-    for (const button of this.#buttons) button.addEventListener('click', () => this.#choose(this.#kind === button.dataset.kind ? '' : kindOf(button)));
+    for (const button of this.#buttons) {
+      button.addEventListener('click', () => this.#choose(this.#kind === button.dataset.kind ? '' : kindOf(button)));
+    }
     panel.close.addEventListener('click', () => this.#complete());
     panel.undo.addEventListener('click', () => this.#takeBack());
     panel.clear.addEventListener('click', () => this.#remove(...this.#measurements));
@@ -196,7 +216,9 @@ export class Measuring {
     if (!this.#kind || !event.shiftKey || !step) return;
     event.preventDefault();
     event.stopImmediatePropagation(); // without Shift they turn the camera
-    const [x, y] = this.#cross.toArray().map((value, axis) => THREE.MathUtils.clamp(value + CROSS_STEP * step[axis], -CROSS_MOST, CROSS_MOST));
+    const [x, y] = this.#cross
+      .toArray()
+      .map((value, axis) => THREE.MathUtils.clamp(value + CROSS_STEP * step[axis], -CROSS_MOST, CROSS_MOST));
     this.#cross.set(x, y);
     Object.assign(panel.cross.style, { left: `${50 + 50 * x}%`, top: `${50 - 50 * y}%` });
   }
@@ -214,7 +236,10 @@ export class Measuring {
     panel.clear.hidden = this.#measurements.length === 0;
     panel.list.replaceChildren(...this.#measurements.map((each, place) => this.#createRow(each, texts[place])));
     const pending = this.#kind ? [{ kind: this.#kind, points: this.#points, text: '' }] : [];
-    drawMeasurements(this.#marks, [...this.#measurements.map((each, place) => ({ ...each, text: texts[place] })), ...pending]);
+    drawMeasurements(this.#marks, [
+      ...this.#measurements.map((each, place) => ({ ...each, text: texts[place] })),
+      ...pending,
+    ]);
     document.body.dataset.measured = this.#measurements.map(({ kind, value }) => `${kind} ${value}`).join('; ');
     document.body.dataset.points = String(this.#points.length);
     this.#callbacks.redraw();
@@ -230,7 +255,11 @@ export class Measuring {
     const older = version === this.#version ? '' : t('Measured on version {version}.', { version });
     const facts = [detailText(measurement, this.#accuracy), older].filter(Boolean).join(' ');
     const words = create('p', { textContent: `${TITLES[kind]} ${text}` });
-    const remove = create('button', { type: 'button', textContent: '✕', ariaLabel: t('Remove {name}', { name: `${TITLES[kind]} ${text}` }) });
+    const remove = create('button', {
+      type: 'button',
+      textContent: '✕',
+      ariaLabel: t('Remove {name}', { name: `${TITLES[kind]} ${text}` }),
+    });
     remove.addEventListener('click', () => this.#remove(measurement));
     row.append(words, remove, create('p', { className: 'quiet', textContent: facts }));
     return row;

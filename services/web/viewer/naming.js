@@ -32,13 +32,17 @@ export async function showNaming(key, onChange) {
   fill({ label: entry.label || key, description: entry.description ?? '', labels: entry.labels ?? [] });
   panel.form.addEventListener('submit', (event) => {
     event.preventDefault();
-    attempt(panel.trouble, async () => {
-      /** @type {AssetNames} */
-      const names = await patchJson(path, changes());
-      fill(names);
-      onChange(names);
-      panel.saved.textContent = t('Saved.');
-    }, panel.form);
+    attempt(
+      panel.trouble,
+      async () => {
+        /** @type {AssetNames} */
+        const names = await patchJson(path, changes());
+        fill(names);
+        onChange(names);
+        panel.saved.textContent = t('Saved.');
+      },
+      panel.form,
+    );
   });
   panel.form.addEventListener('input', () => (panel.saved.textContent = ''));
 }

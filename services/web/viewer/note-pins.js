@@ -39,7 +39,9 @@ export function drawPins(group, notes, isOpen) {
 export function findPin(notes, group, tap, camera, canvas) {
   const distances = notes.map(({ at }) => {
     const { x, y, z } = new THREE.Vector3(...at).applyMatrix4(group.matrixWorld).project(camera);
-    return z > 1 ? Infinity : Math.hypot(((x - tap.x) * canvas.clientWidth) / 2, ((y - tap.y) * canvas.clientHeight) / 2);
+    return z > 1
+      ? Infinity
+      : Math.hypot(((x - tap.x) * canvas.clientWidth) / 2, ((y - tap.y) * canvas.clientHeight) / 2);
   });
   const nearest = Math.min(Infinity, ...distances);
   return nearest <= PIN_PX ? distances.indexOf(nearest) : -1;
@@ -50,6 +52,8 @@ export function findPin(notes, group, tap, camera, canvas) {
  * @param {string} text
  */
 export function wrap(text) {
-  const lines = text.split('\n').flatMap((line) => line.match(new RegExp(`.{1,${LINE_CHARS}}(?:\\s|$)|.{1,${LINE_CHARS}}`, 'gu')) ?? ['']);
+  const lines = text
+    .split('\n')
+    .flatMap((line) => line.match(new RegExp(`.{1,${LINE_CHARS}}(?:\\s|$)|.{1,${LINE_CHARS}}`, 'gu')) ?? ['']);
   return lines.length > MOST_LINES ? [...lines.slice(0, MOST_LINES - 1), '…'] : lines.map((line) => line.trimEnd());
 }

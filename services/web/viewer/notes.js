@@ -126,7 +126,10 @@ export class Notes {
     }
     const toGroup = group.matrixWorld.clone().invert().multiply(surface.matrixWorld);
     this.#choose(false);
-    this.#write({ at: picked.point.applyMatrix4(toGroup).toArray(), normal: picked.normal.transformDirection(toGroup).toArray() }, '');
+    this.#write(
+      { at: picked.point.applyMatrix4(toGroup).toArray(), normal: picked.normal.transformDirection(toGroup).toArray() },
+      '',
+    );
   }
 
   /**
@@ -179,7 +182,9 @@ export class Notes {
   #turnTo({ at, normal }) {
     const { matrixWorld } = this.#item.group;
     const place = new THREE.Vector3(...at).applyMatrix4(matrixWorld);
-    const toward = normal ? new THREE.Vector3(...normal).transformDirection(matrixWorld) : place.clone().sub(this.#callbacks.controls.target);
+    const toward = normal
+      ? new THREE.Vector3(...normal).transformDirection(matrixWorld)
+      : place.clone().sub(this.#callbacks.controls.target);
     orbitTo(this.#callbacks.controls, toward);
   }
 
@@ -213,12 +218,32 @@ export class Notes {
   #createRow(note, place) {
     const row = create('li');
     row.dataset.note = note.id;
-    const show = create('button', { type: 'button', textContent: `${place + 1}`, ariaLabel: t('Show note {place}', { place: place + 1 }) });
+    const show = create('button', {
+      type: 'button',
+      textContent: `${place + 1}`,
+      ariaLabel: t('Show note {place}', { place: place + 1 }),
+    });
     show.setAttribute('aria-pressed', String(note.id === this.#open));
     show.addEventListener('click', () => this.#toggle(note, { turn: true }));
-    row.append(show, create('p', { dir: 'auto', className: 'text', textContent: note.text }), create('p', { className: 'quiet', textContent: this.#facts(note) }));
-    if (this.#mayPin) row.append(this.#createButton(t('Change'), t('Change note {place}', { place: place + 1 }), () => this.#write(null, note.id)));
-    if (this.#mayPin) row.append(this.#createButton(t('Remove'), t('Remove note {place}', { place: place + 1 }), (button) => attempt(panel.trouble, () => this.#remove(note), button)));
+    row.append(
+      show,
+      create('p', { dir: 'auto', className: 'text', textContent: note.text }),
+      create('p', { className: 'quiet', textContent: this.#facts(note) }),
+    );
+    if (this.#mayPin) {
+      row.append(
+        this.#createButton(t('Change'), t('Change note {place}', { place: place + 1 }), () =>
+          this.#write(null, note.id),
+        ),
+      );
+    }
+    if (this.#mayPin) {
+      row.append(
+        this.#createButton(t('Remove'), t('Remove note {place}', { place: place + 1 }), (button) =>
+          attempt(panel.trouble, () => this.#remove(note), button),
+        ),
+      );
+    }
     return row;
   }
 

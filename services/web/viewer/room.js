@@ -63,7 +63,9 @@ export class Room {
 
   /** Saves the scene under the time's name, for a wearer who cannot type; null where it is saved already, or may not be saved. */
   get saving() {
-    return this.#saved || !this.#maySave ? null : () => this.save(t('Scene of {date}', { date: new Date().toLocaleString() }));
+    return this.#saved || !this.#maySave
+      ? null
+      : () => this.save(t('Scene of {date}', { date: new Date().toLocaleString() }));
   }
 
   /** The collection from which things are added. */
@@ -144,7 +146,9 @@ export class Room {
     await this.#fixAll();
     /** @type {SceneDocument} */
     const document = await postJson('/v1/scenes', { ...this.#content(), name });
-    if (this.#callbacks.isWorn()) history.replaceState(null, '', document.view); // to load another page would end the session
+    if (this.#callbacks.isWorn()) {
+      history.replaceState(null, '', document.view);
+    } // to load another page would end the session
     else location.assign(document.view);
     this.#follow(document); // until the other page is there, too: who presses again saves the same scene
   }
@@ -157,7 +161,9 @@ export class Room {
     const { items, load } = this.#callbacks;
     const missing = () => items().filter((item) => !item.placed && !isLoaded(item));
     await Promise.all(missing().map(load));
-    const names = missing().map(({ name }) => name).join(', ');
+    const names = missing()
+      .map(({ name }) => name)
+      .join(', ');
     if (names) {
       const hints = [t('Wait for what is missing and save again, or take it away.')];
       throw new Problem({ code: 'THINGS_MISSING', detail: t('Not loaded yet: {names}.', { names }), hints });
@@ -228,12 +234,17 @@ export class Room {
   #showMoving(moving) {
     const { items, isHeld, live } = this.#callbacks;
     const item = items().find(({ placed }) => placed?.id === moving.id);
-    if (moving.sender !== sender && item?.placed && this.#saved?.isSaved(item.placed) && !isHeld(item)) live.hear(item, moving);
+    if (moving.sender !== sender && item?.placed && this.#saved?.isSaved(item.placed) && !isHeld(item)) {
+      live.hear(item, moving);
+    }
   }
 
   /** @param {string} id of a thing; '' means the scene */
   #nameOf(id) {
-    return this.#callbacks.items().find(({ placed }) => placed?.id === id)?.name ?? (id ? t('An object') : t('The scene’s name'));
+    return (
+      this.#callbacks.items().find(({ placed }) => placed?.id === id)?.name ??
+      (id ? t('An object') : t('The scene’s name'))
+    );
   }
 
   #reportSaved() {
@@ -258,7 +269,9 @@ export class Room {
     const { code, message } = toProblem(error);
     document.body.dataset.saved = this.#saved?.isDirty ? 'no' : 'yes';
     if (code === 'SCENE_UNKNOWN') this.#end();
-    else if (this.#saved?.isDirty) this.#clearTrouble = showNotice(t('Not saved yet, trying again: {reason}', { reason: message }), { stays: true });
+    else if (this.#saved?.isDirty) {
+      this.#clearTrouble = showNotice(t('Not saved yet, trying again: {reason}', { reason: message }), { stays: true });
+    }
   }
 }
 
@@ -266,6 +279,12 @@ export class Room {
 function lostText(names) {
   const [first, ...others] = names;
   return others.length > 0
-    ? t('{name} and {count} more were changed by somebody else at the same time, and stand as they have it. Change them again if you want it otherwise.', { name: first, count: others.length })
-    : t('{name} was changed by somebody else at the same time, and stands as they have it. Change it again if you want it otherwise.', { name: first });
+    ? t(
+        '{name} and {count} more were changed by somebody else at the same time, and stand as they have it. Change them again if you want it otherwise.',
+        { name: first, count: others.length },
+      )
+    : t(
+        '{name} was changed by somebody else at the same time, and stands as they have it. Change it again if you want it otherwise.',
+        { name: first },
+      );
 }

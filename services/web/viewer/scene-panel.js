@@ -29,18 +29,26 @@ const panel = {
  */
 export function showScenePanel({ id, name, onSave, onDelete }) {
   const update = () => {
-    panel.said.textContent = id() ? t('What you move is saved at once.') : t('Saved, it opens on other devices too, from its address.');
+    panel.said.textContent = id()
+      ? t('What you move is saved at once.')
+      : t('Saved, it opens on other devices too, from its address.');
     panel.delete.hidden = !id();
   };
   update();
   panel.name.value ||= name(); // somebody may have begun to type while this module was loaded
   panel.form.addEventListener('submit', (event) => {
     event.preventDefault();
-    attempt(panel.trouble, async () => {
-      await onSave(panel.name.value.trim() || t('Scene'));
-      panel.said.textContent = t('Saved.');
-    }, panel.form);
+    attempt(
+      panel.trouble,
+      async () => {
+        await onSave(panel.name.value.trim() || t('Scene'));
+        panel.said.textContent = t('Saved.');
+      },
+      panel.form,
+    );
   });
-  onSecondPress(panel.delete, t('Tap again: it cannot be undone'), () => attempt(panel.trouble, onDelete, panel.delete));
+  onSecondPress(panel.delete, t('Tap again: it cannot be undone'), () =>
+    attempt(panel.trouble, onDelete, panel.delete),
+  );
   return update;
 }

@@ -41,7 +41,9 @@ export async function showSharing(key) {
   const { visibility } = await getJson(path);
   panel.visibility.value = visibility ?? '';
   await showLinks({ asset: key });
-  panel.visibility.addEventListener('change', () => attempt(panel.trouble, () => putJson(`${path}/visibility`, { visibility: panel.visibility.value || null })));
+  panel.visibility.addEventListener('change', () =>
+    attempt(panel.trouble, () => putJson(`${path}/visibility`, { visibility: panel.visibility.value || null })),
+  );
   listen({ asset: key });
 }
 
@@ -85,14 +87,25 @@ async function showLinks(thing) {
  */
 function createItem(share, thing) {
   const item = create('li');
-  const code = create('img', { alt: t('QR code of the link'), width: 180, height: 180, src: `/v1/shares/${share.id}/qr.svg` });
+  const code = create('img', {
+    alt: t('QR code of the link'),
+    width: 180,
+    height: 180,
+    src: `/v1/shares/${share.id}/qr.svg`,
+  });
   const link = create('a', { href: share.url, textContent: share.url });
   const facts = create('p', { className: 'quiet', textContent: factsOf(share) });
   const revoke = create('button', { type: 'button', textContent: t('Revoke') });
-  revoke.addEventListener('click', () => attempt(panel.trouble, async () => {
-    await deleteAt(`/v1/shares/${share.id}`);
-    await showLinks(thing);
-  }, revoke));
+  revoke.addEventListener('click', () =>
+    attempt(
+      panel.trouble,
+      async () => {
+        await deleteAt(`/v1/shares/${share.id}`);
+        await showLinks(thing);
+      },
+      revoke,
+    ),
+  );
   item.append(code, link, facts, revoke);
   return item;
 }
@@ -101,5 +114,12 @@ function createItem(share, thing) {
 function factsOf({ mode, expires, has_password: hasPassword, opened }) {
   const end = expires ? t('until {date}', { date: new Date(expires).toLocaleDateString() }) : t('until it is revoked');
   const may = mode === 'place' ? t('look and move') : t('look');
-  return [may, end, hasPassword ? t('with a password') : '', opened === 1 ? t('opened 1 time') : t('opened {count} times', { count: opened })].filter(Boolean).join(' · ');
+  return [
+    may,
+    end,
+    hasPassword ? t('with a password') : '',
+    opened === 1 ? t('opened 1 time') : t('opened {count} times', { count: opened }),
+  ]
+    .filter(Boolean)
+    .join(' · ');
 }

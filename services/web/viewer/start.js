@@ -21,7 +21,9 @@ async function showFirst(answer) {
 
 /** Asks for the viewer and all modules that it imports at once: without that each waits until its importer has come. */
 function preloadViewer() {
-  for (const href of JSON.parse(element('later', HTMLScriptElement).text)) document.head.append(create('link', { rel: 'modulepreload', href }));
+  for (const href of JSON.parse(element('later', HTMLScriptElement).text)) {
+    document.head.append(create('link', { rel: 'modulepreload', href }));
+  }
 }
 
 // The poster first: on a slow line the library would take seconds from it.

@@ -49,10 +49,17 @@ function turnOf(loop) {
 function crossesItself(flat) {
   const at = (/** @type {number} */ place) => flat[place % flat.length];
   const sides = flat.map((_, place) => /** @type {const} */ ([at(place), at(place + 1)]));
-  return sides.some(([a, b], one) => sides.some(([c, d], other) => {
-    const apart = Math.abs(one - other);
-    return apart > 1 && apart < flat.length - 1 && turning(a, b, c) * turning(a, b, d) < 0 && turning(c, d, a) * turning(c, d, b) < 0;
-  }));
+  return sides.some(([a, b], one) =>
+    sides.some(([c, d], other) => {
+      const apart = Math.abs(one - other);
+      return (
+        apart > 1 &&
+        apart < flat.length - 1 &&
+        turning(a, b, c) * turning(a, b, d) < 0 &&
+        turning(c, d, a) * turning(c, d, b) < 0
+      );
+    }),
+  );
 }
 
 /**
@@ -71,8 +78,12 @@ const turning = (a, b, c) => (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.
  */
 function piecesInside(flat, triangles, turn) {
   const box = new THREE.Box2().setFromPoints(flat.map(({ x, y }) => new THREE.Vector2(x, y)));
-  const parts = THREE.ShapeUtils.triangulateShape(flat.map(({ x, y }) => new THREE.Vector2(x, y)), [])
-    .map((part) => part.map((place) => flat[place])).map((part) => (turning(part[0], part[1], part[2]) < 0 ? part.reverse() : part));
+  const parts = THREE.ShapeUtils.triangulateShape(
+    flat.map(({ x, y }) => new THREE.Vector2(x, y)),
+    [],
+  )
+    .map((part) => part.map((place) => flat[place]))
+    .map((part) => (turning(part[0], part[1], part[2]) < 0 ? part.reverse() : part));
   /** @type {Piece[]} */
   const pieces = [];
   const turned = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3()];
@@ -90,7 +101,12 @@ function piecesInside(flat, triangles, turn) {
  * @param {THREE.Box2} box
  */
 function isBeside([a, b, c], { min, max }) {
-  return Math.max(a.x, b.x, c.x) < min.x || Math.min(a.x, b.x, c.x) > max.x || Math.max(a.y, b.y, c.y) < min.y || Math.min(a.y, b.y, c.y) > max.y;
+  return (
+    Math.max(a.x, b.x, c.x) < min.x ||
+    Math.min(a.x, b.x, c.x) > max.x ||
+    Math.max(a.y, b.y, c.y) < min.y ||
+    Math.min(a.y, b.y, c.y) > max.y
+  );
 }
 
 /**
@@ -101,7 +117,11 @@ function isBeside([a, b, c], { min, max }) {
 function pieceOf(turned, parts) {
   const corners = /** @type {Corners} */ (turned.map((corner) => corner.clone()));
   const triangle = new THREE.Triangle(...corners);
-  const area = parts.reduce((sum, part) => sum + polygonArea(part.reduce((kept, from, place) => clip(kept, from, part[(place + 1) % 3]), [...corners])), 0);
+  const area = parts.reduce(
+    (sum, part) =>
+      sum + polygonArea(part.reduce((kept, from, place) => clip(kept, from, part[(place + 1) % 3]), [...corners])),
+    0,
+  );
   return { corners, triangle, area, facing: triangle.getNormal(new THREE.Vector3()).z };
 }
 
@@ -137,7 +157,10 @@ function nearestPiece(pieces, point) {
   const place = new THREE.Vector3();
   /** @param {Piece} piece */
   const distanceTo = ({ triangle }) => triangle.closestPointToPoint(point, place).distanceToSquared(point);
-  return pieces.reduce((best, piece) => (distanceTo(piece) < best.distance ? { piece, distance: distanceTo(piece) } : best), { piece: pieces[0], distance: Infinity }).piece;
+  return pieces.reduce(
+    (best, piece) => (distanceTo(piece) < best.distance ? { piece, distance: distanceTo(piece) } : best),
+    { piece: pieces[0], distance: Infinity },
+  ).piece;
 }
 
 /**
@@ -147,7 +170,9 @@ function nearestPiece(pieces, point) {
 function weldSize(flat, pieces) {
   const surface = new THREE.Box3();
   for (const { corners } of pieces) for (const corner of corners) surface.expandByPoint(corner);
-  const [loop, all] = [new THREE.Box3().setFromPoints(flat), surface].map((box) => box.getSize(new THREE.Vector3()).length());
+  const [loop, all] = [new THREE.Box3().setFromPoints(flat), surface].map((box) =>
+    box.getSize(new THREE.Vector3()).length(),
+  );
   return Math.max(WELD_LOOP * loop, WELD_SURFACE * all);
 }
 

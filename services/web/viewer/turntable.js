@@ -32,5 +32,11 @@ export function startTurntable(controls, canvas, onChange) {
     orbit(controls, -STEP, 0);
     onChange();
   });
-  for (const kind of TOUCHES) canvas.addEventListener(kind, (event) => event instanceof KeyboardEvent && event.key.toLowerCase() === 't' ? undefined : set(false), true);
+  for (const kind of TOUCHES) {
+    canvas.addEventListener(
+      kind,
+      (event) => (event instanceof KeyboardEvent && event.key.toLowerCase() === 't' ? undefined : set(false)),
+      true,
+    );
+  }
 }

@@ -75,9 +75,13 @@ export class VersionComparison {
     if (!record || !entry.capture_to_asset) return;
     const before = await getVersion(entry.key, record.version);
     if (!before.capture_to_asset) return;
-    const model = new Model(before, this.#stage.renderer, { prepare: (level) => prepare(this.#stage, level), onLevel: this.#callbacks.onChange });
+    const model = new Model(before, this.#stage.renderer, {
+      prepare: (level) => prepare(this.#stage, level),
+      onLevel: this.#callbacks.onChange,
+    });
     await model.start();
-    if (item.entry !== entry) { // a newer version has come meanwhile
+    if (item.entry !== entry) {
+      // a newer version has come meanwhile
       model.dispose();
       return;
     }
@@ -99,5 +103,7 @@ export class VersionComparison {
 function previewOf({ state, version, versions = [], capture_to_asset: frame }) {
   const newest = versions.find((record) => record.version === version);
   if (state !== 'refined' || !frame || !newest || newest.restored) return undefined;
-  return versions.findLast((record) => record.version < version && record.state === 'preview' && record.job === newest.job);
+  return versions.findLast(
+    (record) => record.version < version && record.state === 'preview' && record.job === newest.job,
+  );
 }

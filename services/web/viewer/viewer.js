@@ -44,7 +44,9 @@ import { ofShownTenant } from '../shared/whose.js';
 
 const GROUND_M = 100; // of the floor on which one goes from place to place where there is no large scene
 const MOVE_HELP = matchMedia('(hover: hover)').matches
-  ? t('Drag an object to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.')
+  ? t(
+      'Drag an object to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.',
+    )
   : t('Drag an object to move it. Two fingers scale and turn it.');
 
 document.body.dataset.started = 'yes';
@@ -79,7 +81,13 @@ let wall = null; // once somebody who may add things is in a headset
 let wardrobe = null; // where the page's address names one
 let showFacts = () => {}; // of a thing that is alone, after each change of it
 
-const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onDrag: showDrag, onDrop: letGo, onMove: savePlace, onSelect: select });
+const drag = new DragControls(camera, renderer.domElement, {
+  items: movableItems,
+  onDrag: showDrag,
+  onDrop: letGo,
+  onMove: savePlace,
+  onSelect: select,
+});
 const grabber = new Grabber(letGo);
 const live = new LiveMoves({ isHeld, onChange: reportPlaces });
 const planes = new RoomPlanes(renderer);
@@ -101,17 +109,27 @@ const input = new XrInput(renderer, scene, {
   onReset: resetAll,
   showHands: () => document.body.dataset.mode === 'vr',
 });
-const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page.ar }, {
-  height: () => wardrobe?.box.max.y ?? Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
-  standingPlace,
-  help: () => wardrobe?.help ?? HELP,
-  onMode: showMode,
-  onPlaced: (metres) => {
-    reportPlace(metres);
-    offerWall();
+const headset = new XrSession(
+  { renderer, scene, root },
+  { vr: page.vr, ar: page.ar },
+  {
+    height: () => wardrobe?.box.max.y ?? Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
+    standingPlace,
+    help: () => wardrobe?.help ?? HELP,
+    onMode: showMode,
+    onPlaced: (metres) => {
+      reportPlace(metres);
+      offerWall();
+    },
+    onRefused: (error) =>
+      showError(
+        new Problem({
+          code: 'XR_REFUSED',
+          detail: t('The headset did not start: {reason}', { reason: error.message }),
+        }),
+      ),
   },
-  onRefused: (error) => showError(new Problem({ code: 'XR_REFUSED', detail: t('The headset did not start: {reason}', { reason: error.message }) })),
-});
+);
 const { redraw } = startRenderLoop(stage, {
   items: loadedItems,
   controls: { update: (seconds) => [live.update(seconds), controls.update(seconds)].includes(true) },
@@ -147,7 +165,13 @@ function startStage() {
   try {
     return createStage(page.canvas, context);
   } catch (error) {
-    showError(new Problem({ code: 'NO_WEBGL', detail: t('This browser cannot show 3D.'), hints: [t('Open this address in another one.')] }));
+    showError(
+      new Problem({
+        code: 'NO_WEBGL',
+        detail: t('This browser cannot show 3D.'),
+        hints: [t('Open this address in another one.')],
+      }),
+    );
     throw error;
   }
 }
@@ -229,7 +253,10 @@ async function update(item) {
   await item.show(entry, renderer, {
     prepare: (group) => prepare(stage, group),
     onChange: redraw,
-    onTileError: (error, file) => showNotice(`${t('A part of {name} is shown coarser: {file} could not be loaded.', { name: item.name, file })} ${toProblem(error).message}`),
+    onTileError: (error, file) =>
+      showNotice(
+        `${t('A part of {name} is shown coarser: {file} could not be loaded.', { name: item.name, file })} ${toProblem(error).message}`,
+      ),
   });
   hidePoster();
   if (!items.includes(item)) {
@@ -250,7 +277,9 @@ async function update(item) {
 function updateText(before, now, name) {
   const refined = before.state === 'preview' && now.state === 'refined';
   const values = { name, version: now.version };
-  return refined ? t('The refined version of {name} took its place: version {version}.', values) : t('A new version of {name} took its place: version {version}.', values);
+  return refined
+    ? t('The refined version of {name} took its place: version {version}.', values)
+    : t('A new version of {name} took its place: version {version}.', values);
 }
 
 /**
@@ -284,7 +313,12 @@ async function loadManifest({ manifest: { url, sha256 } }) {
 function placeFirst(item) {
   if (item.isNew && isLoaded(item)) {
     if (renderer.xr.isPresenting) placeAhead(item, renderer.xr.getCamera());
-    else placeBeside(item, loadedItems().filter((other) => other !== item));
+    else {
+      placeBeside(
+        item,
+        loadedItems().filter((other) => other !== item),
+      );
+    }
     item.isNew = false;
     item.fix();
     room.touch();
@@ -328,7 +362,12 @@ function frameAll() {
 function showTexts() {
   redraw();
   const loaded = loadedItems();
-  showCaption(loaded, { title: room.name, wanted: items.length, failed: items.filter(hasFailed).length, gone: items.filter(isGone).map(({ key }) => key) });
+  showCaption(loaded, {
+    title: room.name,
+    wanted: items.length,
+    failed: items.filter(hasFailed).length,
+    gone: items.filter(isGone).map(({ key }) => key),
+  });
   showList(wardrobe ? [] : items, { selected, onSelect: (item) => allowMoving(true, item), onRemove: remove });
   showQuickLook(items.length === 1 ? loaded.at(0)?.entry : null);
   const [first] = loaded;
@@ -345,7 +384,10 @@ function showTexts() {
  * @param {SceneItem[]} wanted
  */
 function setItems(wanted) {
-  const [gone, added] = [items.filter((item) => !wanted.includes(item)), wanted.filter((item) => !items.includes(item))];
+  const [gone, added] = [
+    items.filter((item) => !wanted.includes(item)),
+    wanted.filter((item) => !items.includes(item)),
+  ];
   items = wanted;
   for (const item of gone) {
     grabber.drop(item);
@@ -430,7 +472,8 @@ function reportPlace(metres) {
 /** Writes the places and scales of the items into the page's data attributes, for tests and for scripts. */
 function reportPlaces() {
   /** @param {LoadedItem} item */
-  const placeText = ({ group }) => [...group.position.toArray(), group.scale.x].map((value) => value.toFixed(3)).join(' ');
+  const placeText = ({ group }) =>
+    [...group.position.toArray(), group.scale.x].map((value) => value.toFixed(3)).join(' ');
   redraw();
   document.body.dataset.moved = loadedItems().map(placeText).join('; ');
 }
@@ -553,7 +596,9 @@ function showItemError(item, error) {
   item.problem = message;
   item.code = code;
   if (code === 'ASSET_REMOVED' && item.entry) {
-    if (item.placed) item.unload(); // its place in the scene stays, for when it is restored
+    if (item.placed) {
+      item.unload();
+    } // its place in the scene stays, for when it is restored
     else remove(item);
     showNotice(t('{name} was taken back by whoever published it.', { name: item.name }), { stays: true });
   } else if (isNew && !isConnectionProblem(error) && !isGone(item) && items.length > 1) {
@@ -617,11 +662,16 @@ async function start(asking) {
 scene.add(root);
 for (const { group } of items) root.add(group);
 controls.enableDamping = true;
-startCameraKeys(controls, page.canvas, new Map([
-  ['Home', frameAll],
-  ['t', () => element('turn', HTMLButtonElement).click()],
-  ['f', () => element('full-screen', HTMLButtonElement).click()],
-]), sayView);
+startCameraKeys(
+  controls,
+  page.canvas,
+  new Map([
+    ['Home', frameAll],
+    ['t', () => element('turn', HTMLButtonElement).click()],
+    ['f', () => element('full-screen', HTMLButtonElement).click()],
+  ]),
+  sayView,
+);
 startTurntable(controls, page.canvas, redraw);
 startBackdrop(showNotice);
 startFullScreen();

@@ -19,7 +19,10 @@ export function dress(item, hanging, dummy) {
     stand(item, [0, dummy.carry(size), 0]);
     return;
   }
-  const { position_m: position, shape } = fitGarment(measureGarment(trianglesOf(coarsest, item.group.matrixWorld.clone().invert())), hanging);
+  const { position_m: position, shape } = fitGarment(
+    measureGarment(trianglesOf(coarsest, item.group.matrixWorld.clone().invert())),
+    hanging,
+  );
   dummy.wear(shape);
   stand(item, position);
 }

@@ -13,7 +13,11 @@ import { BUST_M, HIP_M, SHOULDERS, TORSO, WAIST_M, torsoAt } from '../graphics/d
 /** @typedef {{ position_m: [x: number, y: number, z: number], shape: DummyShape }} Fit where the garment's origin is, over the middle of the dummy's foot */
 
 const SLICES = 48; // from top to hem: a collar is two or three of them
-const EDGES = [[0, 3], [3, 6], [6, 0]]; // of a triangle, by the places of its corners
+const EDGES = [
+  [0, 3],
+  [3, 6],
+  [6, 0],
+]; // of a triangle, by the places of its corners
 const LEAST_HEIGHT_M = 0.25; // what is lower lies folded, and is worn by nobody
 const MOST_M = { height: 2.2, across: 1.8 };
 const LEAST_SHARE = 0.35; // of the height, of the longer side of its base: what is flatter lies
@@ -37,7 +41,9 @@ const ROUNDS = 3; // where it hangs depends on the dummy's girth, and that on wh
  */
 export function canHang([width, height, depth]) {
   const across = Math.max(width, depth);
-  return height >= LEAST_HEIGHT_M && height <= MOST_M.height && across <= MOST_M.across && height >= LEAST_SHARE * across;
+  return (
+    height >= LEAST_HEIGHT_M && height <= MOST_M.height && across <= MOST_M.across && height >= LEAST_SHARE * across
+  );
 }
 
 /**
@@ -47,15 +53,23 @@ export function canHang([width, height, depth]) {
  */
 export function measureGarment(corners) {
   let [low, high] = [Infinity, -Infinity];
-  for (let place = 1; place < corners.length; place += 3) [low, high] = [Math.min(low, corners[place]), Math.max(high, corners[place])];
+  for (let place = 1; place < corners.length; place += 3) {
+    [low, high] = [Math.min(low, corners[place]), Math.max(high, corners[place])];
+  }
   const heights = Array.from({ length: SLICES }, (_, place) => high - ((place + 0.5) * (high - low)) / SLICES);
   const slices = heights.map((y) => sliceAt(corners, y));
   const upper = slices.slice(0, Math.ceil(UPPER * SLICES)).filter(({ length }) => length > 0);
-  const middleOf = (/** @type {Axis} */ axis) => upper.reduce((sum, slice) => sum + mean(spanOf(slice, axis)), 0) / upper.length;
+  const middleOf = (/** @type {Axis} */ axis) =>
+    upper.reduce((sum, slice) => sum + mean(spanOf(slice, axis)), 0) / upper.length;
   const middle = { x: middleOf('x'), z: middleOf('z') };
   const rooms = slices.map((slice, place) => {
     const [left, right] = spanOf(slice, 'x');
-    return { y: heights[place], width: Math.max(0, right - left) / 2, x: roomOf(slice, middle, 'x', 'z'), z: roomOf(slice, middle, 'z', 'x') };
+    return {
+      y: heights[place],
+      width: Math.max(0, right - left) / 2,
+      x: roomOf(slice, middle, 'x', 'z'),
+      z: roomOf(slice, middle, 'z', 'x'),
+    };
   });
   return { middle, rooms };
 }
@@ -87,7 +101,10 @@ function cutAt(corners, from, to, y) {
   const [one, other] = [corners[from + 1] - y, corners[to + 1] - y];
   if (one < 0 === other < 0) return null;
   const share = one / (one - other);
-  return { x: corners[from] + share * (corners[to] - corners[from]), z: corners[from + 2] + share * (corners[to + 2] - corners[from + 2]) };
+  return {
+    x: corners[from] + share * (corners[to] - corners[from]),
+    z: corners[from + 2] + share * (corners[to + 2] - corners[from + 2]),
+  };
 }
 
 /**
@@ -101,7 +118,9 @@ function roomOf(slice, middle, side, across) {
   let room = Infinity;
   for (const [one, other] of slice) {
     const [from, to] = [one[across] - middle[across], other[across] - middle[across]];
-    if (from < 0 !== to < 0) room = Math.min(room, Math.abs(one[side] + ((other[side] - one[side]) * from) / (from - to) - middle[side]));
+    if (from < 0 !== to < 0) {
+      room = Math.min(room, Math.abs(one[side] + ((other[side] - one[side]) * from) / (from - to) - middle[side]));
+    }
   }
   return room;
 }
@@ -113,7 +132,10 @@ function roomOf(slice, middle, side, across) {
  */
 function spanOf(slice, axis) {
   const ends = slice.flat().map((point) => point[axis]);
-  return [ends.reduce((least, end) => Math.min(least, end), Infinity), ends.reduce((most, end) => Math.max(most, end), -Infinity)];
+  return [
+    ends.reduce((least, end) => Math.min(least, end), Infinity),
+    ends.reduce((most, end) => Math.max(most, end), -Infinity),
+  ];
 }
 
 /** @param {[from: number, to: number]} span */
@@ -133,7 +155,9 @@ export function fitGarment({ middle, rooms }, hanging) {
   let drop = 0; // from the garment's frame to the dummy's
   for (let round = 0; round < ROUNDS; round++) {
     drop = hanging === 'waist' ? y * WAIST_M - rooms[0].y : shoulderDrop(rooms, scale);
-    const girth = around.map((room) => ({ ...room, y: (room.y + drop) / y })).filter((room) => room.y <= high && room.y >= low);
+    const girth = around
+      .map((room) => ({ ...room, y: (room.y + drop) / y }))
+      .filter((room) => room.y <= high && room.y >= low);
     scale = { x: shareOf(girth, 'x'), y, z: shareOf(girth, 'z') };
   }
   const hem = rooms[rooms.length - 1].y + drop;
@@ -164,7 +188,9 @@ function shoulderDrop(rooms, scale) {
   const drops = rooms
     .filter(({ y, x }, place) => x <= end.x * scale.x && top.y - y <= collar && slopeAt(rooms, place) >= LEAST_SLOPE)
     .map(({ y, x }) => scale.y * shoulderHeight(x / scale.x) - y);
-  return drops.length > 0 ? drops.toSorted((one, other) => one - other)[drops.length >> 1] : scale.y * STRAPLESS_M - top.y;
+  return drops.length > 0
+    ? drops.toSorted((one, other) => one - other)[drops.length >> 1]
+    : scale.y * STRAPLESS_M - top.y;
 }
 
 /**

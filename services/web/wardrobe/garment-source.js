@@ -12,7 +12,9 @@ import { nextEntry } from '../scenes/page-address.js';
  * @throws {Problem} as `loadCollection` and `loadRows`
  */
 export function loadAllRows(collection) {
-  return withNewest(collection, async (index) => (await Promise.all(index.shards.map((shard) => loadRows(index, shard)))).flat());
+  return withNewest(collection, async (index) =>
+    (await Promise.all(index.shards.map((shard) => loadRows(index, shard)))).flat(),
+  );
 }
 
 /**

@@ -48,6 +48,10 @@ export function addressOf(choice) {
 export function emptyText(choice) {
   if (choice === 'all') return t('No garment is here yet. Give an object a tag such as “summer” or “dress”.');
   const season = SEASONS.find((each) => each === choice);
-  if (season) return t('No garment has a tag of this season: {season}. Choose another one, or all garments.', { season: seasonName(season) });
+  if (season) {
+    return t('No garment has a tag of this season: {season}. Choose another one, or all garments.', {
+      season: seasonName(season),
+    });
+  }
   return t('Nothing has this tag any more.');
 }

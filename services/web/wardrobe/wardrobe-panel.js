@@ -31,7 +31,10 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @type {Record<Season, string>} */
 const SEASON_NAMES = { spring: t('Spring'), summer: t('Summer'), autumn: t('Autumn'), winter: t('Winter') };
 /** @type {Map<string, number>} */
-const STEPS = new Map([['ArrowLeft', -1], ['ArrowRight', 1]]);
+const STEPS = new Map([
+  ['ArrowLeft', -1],
+  ['ArrowRight', 1],
+]);
 
 const panel = {
   whole: element('wardrobe', HTMLElement),
@@ -48,7 +51,8 @@ const panel = {
 export const seasonName = (season) => SEASON_NAMES[season];
 
 /** @param {WardrobeState} state */
-export const countText = ({ place, count }) => (count > 0 ? t('{number} of {count}', { number: place + 1, count }) : '');
+export const countText = ({ place, count }) =>
+  count > 0 ? t('{number} of {count}', { number: place + 1, count }) : '';
 
 /** The controls of the page. */
 export class WardrobePanel {
@@ -64,7 +68,9 @@ export class WardrobePanel {
     panel.next.addEventListener('click', () => actions.onStep(1));
     panel.rotate.addEventListener('click', actions.onRotate);
     document.addEventListener('keydown', (event) => this.#step(event), true); // before the camera's keys
-    element('keys', HTMLElement).textContent = t('Left and right arrow keys show the garment before and the next one; with Shift they turn it. Drag to turn, pinch or scroll to come closer, plus and minus too. Home shows all of it, T turns it by itself, F fills the screen.');
+    element('keys', HTMLElement).textContent = t(
+      'Left and right arrow keys show the garment before and the next one; with Shift they turn it. Drag to turn, pinch or scroll to come closer, plus and minus too. Home shows all of it, T turns it by itself, F fills the screen.',
+    );
   }
 
   /**
@@ -92,7 +98,11 @@ export class WardrobePanel {
     const group = create('optgroup', { label: t('Tags') });
     group.append(...each.map((label) => create('option', { value: `label:${label}`, textContent: label })));
     const seasons = SEASONS.map((season) => create('option', { value: season, textContent: seasonName(season) }));
-    panel.choice.replaceChildren(...seasons, create('option', { value: 'all', textContent: t('All garments') }), ...(each.length > 0 ? [group] : []));
+    panel.choice.replaceChildren(
+      ...seasons,
+      create('option', { value: 'all', textContent: t('All garments') }),
+      ...(each.length > 0 ? [group] : []),
+    );
   }
 
   /** @param {KeyboardEvent} event */

@@ -66,7 +66,15 @@ export class Wardrobe {
     this.#collection = collection;
     this.#callbacks = callbacks;
     const turns = !matchMedia('(prefers-reduced-motion: reduce)').matches;
-    this.#state = { choice: choiceIn(location.search), labels: [], place: 0, count: 0, said: t('Loading …'), rotates: this.#everySeconds > 0, turns };
+    this.#state = {
+      choice: choiceIn(location.search),
+      labels: [],
+      place: 0,
+      count: 0,
+      said: t('Loading …'),
+      rotates: this.#everySeconds > 0,
+      turns,
+    };
     this.#everySeconds ||= EVERY_S;
     const actions = {
       onChoose: (/** @type {Choice} */ choice) => this.choose(choice),
@@ -88,7 +96,10 @@ export class Wardrobe {
 
   /** What a wearer is told who does not know it yet. */
   get help() {
-    return [t('The right stick to the side, or a pinch on the garment: another one.'), t('A or X shows the board and hides it.')];
+    return [
+      t('The right stick to the side, or a pinch on the garment: another one.'),
+      t('A or X shows the board and hides it.'),
+    ];
   }
 
   /** The box of the dummy or plinth with what it shows, in the frame of the root. */
@@ -170,8 +181,12 @@ export class Wardrobe {
     if (item !== this.#coming && !GONE.includes(code)) return; // a newer version that did not come
     const name = this.#garments.find(({ key }) => key === item.key)?.label ?? item.name;
     showNotice(`${name}: ${message}`, { stays: true });
-    if (!isConnectionProblem(error)) this.#list(this.#garments.filter(({ key }) => key !== item.key), message);
-    else this.#stay(message);
+    if (!isConnectionProblem(error)) {
+      this.#list(
+        this.#garments.filter(({ key }) => key !== item.key),
+        message,
+      );
+    } else this.#stay(message);
   }
 
   /**
@@ -230,7 +245,13 @@ export class Wardrobe {
     this.#coming = null;
     this.#callbacks.setItems(worn ? [worn] : []);
     if (!worn) showNothing(t('Wardrobe'), reason);
-    this.#show({ said: worn?.name ?? reason, place: Math.max(0, this.#garments.findIndex(({ key }) => key === worn?.key)) });
+    this.#show({
+      said: worn?.name ?? reason,
+      place: Math.max(
+        0,
+        this.#garments.findIndex(({ key }) => key === worn?.key),
+      ),
+    });
     this.#rotate(this.#state.rotates); // then it is tried again
   }
 
@@ -243,7 +264,13 @@ export class Wardrobe {
       this.#callbacks.setItems([this.#worn]);
       return;
     }
-    this.#coming = new SceneItem(key, { id: randomId(), asset: key, position_m: [0, 0, 0], rotation: [0, 0, 0, 1], scale: 1 });
+    this.#coming = new SceneItem(key, {
+      id: randomId(),
+      asset: key,
+      position_m: [0, 0, 0],
+      rotation: [0, 0, 0, 1],
+      scale: 1,
+    });
     this.#callbacks.setItems(this.#worn ? [this.#worn, this.#coming] : [this.#coming]);
   }
 

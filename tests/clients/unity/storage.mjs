@@ -1,6 +1,6 @@
 // Links the WebGL player's plugin as Emscripten does, to a file system whose copies end when this says so. Prints how many
 // copies have begun after each step.
-import { readFileSync } from "node:fs";
+import { readFileSync } from 'node:fs';
 
 const copies = [];
 const library = {};
@@ -11,7 +11,7 @@ const scope = {
   console: { warn: () => {} },
   mergeInto: (into, more) => Object.assign(into, more),
 };
-new Function(...Object.keys(scope), readFileSync(process.argv[2], "utf8"))(...Object.values(scope));
+new Function(...Object.keys(scope), readFileSync(process.argv[2], 'utf8'))(...Object.values(scope));
 globalThis.capture2vrStorage = library.$capture2vrStorage; // what its "$" means to Emscripten
 const flush = library.Capture2vrFlush;
 
@@ -24,6 +24,6 @@ step(flush);
 step(flush); // while the first copy is under way
 step(flush);
 step(() => copies[0](null)); // one more, for both
-step(() => copies[1]("QuotaExceededError"));
+step(() => copies[1]('QuotaExceededError'));
 step(flush); // a failure is not the end
 console.log(JSON.stringify(begun));

@@ -15,7 +15,11 @@ async function read(path) {
   const { min, max } = getBounds(root.listScenes()[0]);
   return {
     triangles: primitives.reduce((sum, primitive) => sum + primitive.getIndices().getCount() / 3, 0),
-    colours: root.listTextures().length ? 'texture' : primitives.some((each) => each.getAttribute('COLOR_0')) ? 'vertices' : 'none',
+    colours: root.listTextures().length
+      ? 'texture'
+      : primitives.some((each) => each.getAttribute('COLOR_0'))
+        ? 'vertices'
+        : 'none',
     low: min,
     high: max,
   };

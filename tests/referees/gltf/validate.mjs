@@ -1,9 +1,9 @@
 // Khronos' verdict on the files named on the command line, as one JSON array: {errors, warnings, infos, hints, messages}.
-import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
+import { readFile } from 'node:fs/promises';
+import { createRequire } from 'node:module';
 
 // The validator lies in the folder this script is run from, which need not be the script's own.
-const validator = createRequire(`${process.cwd()}/`)("gltf-validator");
+const validator = createRequire(`${process.cwd()}/`)('gltf-validator');
 
 const verdicts = [];
 for (const path of process.argv.slice(2)) {
