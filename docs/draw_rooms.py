@@ -42,9 +42,9 @@ BELOW_ALL = ("order", "process", "sentences")  # every service may import them, 
 LEFT_OUT = ("api", "presets")  # generated code; settings
 
 WAY = (
-    ("web", "capture", "The phone's page guides, checks and uploads photos, a film or a scan."),
+    ("web", "capture", "The phone's page guides, checks and uploads photos, a video or a scan."),
     ("gateway", "uploads", "Streamed to disk, unpacked, every file checked."),
-    ("gateway", "strip", "Places, names and serial numbers are removed from photos, films and scans."),
+    ("gateway", "strip", "Places, names and serial numbers are removed from photos, videos and scans."),
     ("gateway", "jobs", "The capture is on the store, the job a row with a lease."),
     ("gateway", "dispatch", "A free worker is found; the run is followed, and found again when lost."),
     ("edge", "worker", "The archive arrives over gRPC, waits for a slot and for memory."),
@@ -52,7 +52,7 @@ WAY = (
     ("edge", "cameras", "Photos get their cameras: structure from motion."),
     ("edge", "photos", "Photos with cameras become depth maps: plane sweep."),
     ("edge", "fusion", "Depth is fused to points that several views agree on."),
-    ("edge", "points", "Points are cleaned, and the thing is cut out."),
+    ("edge", "points", "Points are cleaned, and the object is cut out."),
     ("edge", "field", "An unsigned distance field is fitted: local at once, then trained."),
     ("edge", "mesh", "The open surface is extracted, cleaned and simplified."),
     ("edge", "texture", "Levels of detail get textures from the photos."),

@@ -34,18 +34,28 @@ def files_of_tests() -> list[str]:
 
 
 def split(files: Iterable[str], seconds: dict[str, float], count: int) -> list[list[str]]:
-    """Share files among parts: the longest group first, each into the part that is shortest so far."""
+    """Share files among parts, the longest group first: where it costs no time, or into the part that stays shortest.
+
+    A part takes as long as its longest group, which one process runs, or as all of its groups on two cores.
+    """
     usual = median(seconds.values()) if seconds else 1.0
     groups = defaultdict[str, list[str]](list)
     for file in files:
         groups[group_of(file)].append(file)
     cost = {name: sum(seconds.get(file, usual) for file in group) for name, group in groups.items()}
     parts: list[list[str]] = [[] for _ in range(count)]
-    lengths = [0.0] * count
+    longest, totals = [0.0] * count, [0.0] * count
+
+    def length_with(part: int, added: float) -> float:
+        return max(longest[part], added, (totals[part] + added) / 2)
+
     for name in sorted(groups, key=lambda name: (-cost[name], name)):
-        shortest = lengths.index(min(lengths))
-        parts[shortest] += groups[name]
-        lengths[shortest] += cost[name]
+        added = cost[name]
+        free = [part for part in range(count) if length_with(part, added) == length_with(part, 0.0)]
+        best = min(free or range(count), key=lambda part: (length_with(part, added), totals[part]))
+        parts[best] += groups[name]
+        longest[best] = max(longest[best], added)
+        totals[best] += added
     return parts
 
 

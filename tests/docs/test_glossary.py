@@ -1,9 +1,10 @@
 """One word for one concept: what the glossary forbids is in no document, on no page of the product, in no sentence of
-the services and in no help text of the command line.
+the services and in nothing that the command line prints.
 """
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 from collections.abc import Iterable, Iterator
@@ -92,6 +93,22 @@ def test_what_pages_and_their_scripts_say_keeps_to_the_words_of_the_glossary() -
 def test_what_the_services_say_keeps_to_the_words_of_the_glossary() -> None:
     assert len(english()) > 900
     assert forbidden_among(english().values()) == []
+
+
+def printed_texts() -> Iterator[tuple[str, str]]:
+    """File and text of every string with a space in the command line's modules, but for docstrings."""
+    for path in sorted((ROOT / "services" / "cli").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        documentation = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and node not in documentation and " " in str(node.value):
+                yield path.name, str(node.value)
+
+
+def test_what_the_command_line_prints_keeps_to_the_words_of_the_glossary() -> None:
+    texts = list(printed_texts())
+    assert len(texts) > 500
+    assert [(name, text) for name, text in texts if forbidden_among([text])] == []
 
 
 def test_the_help_of_the_command_line_keeps_to_the_words_of_the_glossary() -> None:

@@ -77,7 +77,7 @@ def _device() -> Iterator[Finding]:
     from capture2vr.edge.field.device import find_device
 
     device = find_device("auto")
-    takes = "; a thing trains in seconds here, a room in a minute or two" if device.name == "cpu" else ""
+    takes = "; an object trains in seconds here, a room in a minute or two" if device.name == "cpu" else ""
     yield Finding("device", "ok", device.description + takes)
 
 

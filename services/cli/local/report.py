@@ -45,10 +45,10 @@ p.warning { border-left: .25rem solid #c80; padding-left: .75rem }
 
 _PHOTO_ROWS = {
     "photos": ("held-out photos", "not used for points or textures", "{:,}"),
-    "cover": ("of the thing in them covered", "", "{:.1%}"),
-    "lace": ("holes", "share of the thing's filled silhouette without mesh", "{:.2%}"),
+    "cover": ("of the object in them covered", "", "{:.1%}"),
+    "lace": ("holes", "share of the object's filled silhouette without mesh", "{:.2%}"),
     "inside_out": ("inside seen through holes", "share of the mesh's pixels", "{:.2%}"),
-    "leak": ("surface beside the thing", "share of the mesh's pixels where the photos show background", "{:.2%}"),
+    "leak": ("surface beside the object", "share of the mesh's pixels where the photos show background", "{:.2%}"),
     "depth": ("of their depth within 1 %", "", "{:.1%}"),
     "psnr": ("likeness, PSNR", "dB, after one gain per channel", "{:.2f}"),
     "ssim": ("likeness, SSIM", "1 is the same", "{:.3f}"),
@@ -107,9 +107,9 @@ def _cut(cut: Mapping[str, Any] | None, compared: Mapping[str, bytes]) -> Iterat
             yield f"<figcaption>{caption}</figcaption></figure>"
 
 
-_KEPT = {"object": "The thing in the middle", "scene": "Everything that was seen"}
+_KEPT = {"object": "The object in the middle", "scene": "Everything that was seen"}
 _CUT_PICTURES = {
-    "cut-object.jpg": "kept: the thing, <code>--cut object</code>",
+    "cut-object.jpg": "kept: the object, <code>--cut object</code>",
     "cut-scene.jpg": "it was cut from this: <code>--cut scene</code>",
 }
 
@@ -137,7 +137,7 @@ def _compared_photos(compared: Mapping[str, bytes]) -> Iterator[str]:
     if not photos:
         return
     yield "<h2>Compared with photos that were not used</h2>"
-    yield "<p><small>left the photo, right the mesh from its camera; magenta: holes, yellow: the inside of the thing, "
+    yield "<p><small>left the photo, right the mesh from its camera; magenta: holes, yellow: the inside of the object, "
     yield "blue: surface where the photo shows background</small></p>"
     for name, content in photos.items():
         yield f'<img src="{_jpeg(content)}" alt="{escape(name)}">'
@@ -168,7 +168,7 @@ _UP_SOURCES = {
     "turntable": "the turntable's axis",
     "lines": "vertical lines in the pictures",
     "walk": "the plane in which the cameras went around",
-    "plane": "the floor, or what the thing stands on",
+    "plane": "the floor, or what the object stands on",
     "cameras": "how the cameras were held",
 }
 

@@ -201,7 +201,7 @@ def test_held_out_photos_are_shown_with_their_figures(tmp_path: Path) -> None:
     assert "<h2>Compared with photos that were not used</h2>" in page
     assert page.count("data:image/jpeg;base64,") == 2
     assert f"data:image/jpeg;base64,{b64encode(b'2').decode()}" in page
-    for name, figure in {"held-out photos": "2", "holes": "1.23%", "surface beside the thing": "4.56%"}.items():
+    for name, figure in {"held-out photos": "2", "holes": "1.23%", "surface beside the object": "4.56%"}.items():
         assert re.search(rf"<td>{name} <small>.*?</small></td><td class=\"figure\">{figure}</td>", page)
     assert "21.50" in page
     assert "SSIM" not in page, "it was not measured"

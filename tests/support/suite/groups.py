@@ -10,10 +10,10 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 
 # What costs seconds to start is started once: Chromium and the whole product, the S3 server, the SBOM. The pages
-# that show things have a Chromium of their own, because they take as long as all other pages.
+# are three groups, because all together they would take longer than the other tests beside them.
 _TOGETHER = {
-    "web/shared": "pages that show",
-    "web/viewer": "pages that show",
+    "web/capture": "capture pages",
+    "web/viewer": "viewer pages",
     "web": "pages",
     "storage": "s3",
     "deploy/test_cdn.py": "s3",
