@@ -29,7 +29,7 @@ _TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
 
 def rows() -> dict[str, list[tuple[str, str]]]:
     """File and name of the tests of each attack."""
-    found = {row["attack"]: _TEST.findall(row["tests"]) for row in _ROW.finditer(PAGE.read_text())}
+    found = {row["attack"].strip(): _TEST.findall(row["tests"]) for row in _ROW.finditer(PAGE.read_text())}
     return {attack: tests for attack, tests in found.items() if attack != "attack" and not attack.startswith("-")}
 
 

@@ -170,7 +170,7 @@ def _mislabelled_cloud(folder: Folder) -> CaptureError | None:
     if name is None:
         return None
     if folder.path(name).stat().st_size == 0:
-        return CaptureError("CAPTURE_EMPTY", "is empty", file=name)
+        return CaptureError("CAPTURE_EMPTY", say("file_empty"), file=name)
     return unreadable(name, say("has_suffix_but_content_another", suffix=Path(name).suffix))
 
 

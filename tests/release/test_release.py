@@ -90,7 +90,7 @@ def test_the_notes_tell_changes_files_sbom_and_what_is_known_to_be_vulnerable(ch
         f"# capture2vr {VERSION}\n\n2030-12-31, commit `{git(checkout, 'rev-parse', 'HEAD').strip()}`"
     )
     assert "1 commit since `v0.0.9`" in notes
-    assert "## Added\n- **From captures to points**: photos" in notes
+    assert "## Added\n\n- [Captures](docs/formats.md): photos" in notes
     for suffix in ("-py3-none-any.whl", ".tar.gz", ".cdx.json"):
         path = released / f"capture2vr-{VERSION}{suffix}"
         assert f"| `{path.name}` | {path.stat().st_size:,} | `{_sha256(path)}` |" in notes

@@ -54,7 +54,7 @@ def _mapped(path: Path, file: str) -> Iterator[mmap.mmap]:
     except OSError as error:
         raise broken_image(file, say("cannot_be_opened", why=error.strerror)) from None
     except ValueError:
-        raise broken_image(file, "is empty") from None
+        raise broken_image(file, say("file_empty")) from None
     with data:
         yield data
 
