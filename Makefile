@@ -20,7 +20,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 CAPTURE ?=
 DEMO_FLAGS ?=
-# One more than cores: tests wait for browsers and servers. On two cores the suite takes 31 minutes with three, 38 with two.
+# One more than cores: tests wait for browsers and servers.
 TEST_PROCESSES ?= 3
 PART ?=
 WITHIN ?=

@@ -80,6 +80,7 @@ def test_points_are_not_thinned() -> None:
     assert np.median(spacing[:, 1]) < VOXEL
 
 
+@pytest.mark.slow
 def test_colours_are_those_of_fusing_at_once() -> None:
     fused = by_boxes()
     assert fused.whole is not None

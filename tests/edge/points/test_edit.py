@@ -50,6 +50,7 @@ def multiply(p: Any, q: Any) -> Any:
     )
 
 
+@pytest.mark.slow
 @given(PLACES, SIZES)
 def test_a_level_box_keeps_exactly_what_is_inside(centre: Any, size: Any) -> None:
     xyz = np.array(centre) + cloud().xyz

@@ -88,6 +88,7 @@ def scene() -> tuple[list[PosedPicture], list[Floats], Floats, list[SeenPlaces]]
 Scene = tuple[list[PosedPicture], list[Floats], Floats, list[SeenPlaces]]
 
 
+@pytest.mark.slow
 def test_wrong_poses_come_back_together(scene: Scene) -> None:
     true, greys, xyz, seen = scene
     rng = np.random.default_rng(3)
@@ -100,6 +101,7 @@ def test_wrong_poses_come_back_together(scene: Scene) -> None:
     assert fractions == sorted(fractions)
 
 
+@pytest.mark.slow
 def test_exposures_may_differ(scene: Scene) -> None:
     true, greys, xyz, seen = scene
     rng = np.random.default_rng(4)
@@ -109,17 +111,20 @@ def test_exposures_may_differ(scene: Scene) -> None:
     assert errors_px(true, found, xyz).mean() < 0.4 * errors_px(true, wrong, xyz).mean()
 
 
+@pytest.mark.slow
 def test_right_poses_stay_nearly_where_they_are(scene: Scene) -> None:
     true, greys, xyz, seen = scene
     assert errors_px(true, refine_poses(true, greys, xyz, seen), xyz).max() < 0.2
 
 
+@pytest.mark.slow
 def test_poses_from_structure_from_motion_are_kept(scene: Scene) -> None:
     true, greys, xyz, seen = scene
     exact = [replace(picture, tracked=False) for picture in true]
     assert refine_poses(exact, greys, xyz, seen) == exact
 
 
+@pytest.mark.slow
 def test_a_photo_of_something_else_and_one_that_sees_too_little_keep_their_poses(scene: Scene) -> None:
     true, greys, xyz, seen = scene
     rng = np.random.default_rng(5)
@@ -134,6 +139,7 @@ def test_a_photo_of_something_else_and_one_that_sees_too_little_keep_their_poses
     assert np.array_equal(found[1].to_camera, true[1].to_camera)
 
 
+@pytest.mark.slow
 def test_plain_pictures_move_nothing_far(scene: Scene) -> None:
     true, _, xyz, seen = scene
     plain: list[Bytes] = [np.full((SIDE, SIDE), 90, np.float32)] * len(true)

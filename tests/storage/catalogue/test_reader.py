@@ -28,6 +28,7 @@ def row(key: str) -> Row:
     return Row(key, "", (), 1, "refined", 1, "0" * 64, "")
 
 
+@pytest.mark.slow
 @given(st.sets(KEYS, max_size=30), st.lists(KEYS, max_size=5), st.integers(1, 7))
 def test_a_row_is_found_wherever_the_shards_were_split(keys: set[str], others: list[str], size: int) -> None:
     rows = [row(key) for key in sorted(keys)]
