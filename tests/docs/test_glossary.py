@@ -15,6 +15,7 @@ from typer.main import get_command
 from capture2vr.cli.main import app
 from capture2vr.sentences.sentence import english
 from tests.support.html_texts import Texts
+from tests.support.python_files import python_files
 from tests.support.repository import ROOT
 
 PAGES = (
@@ -97,12 +98,11 @@ def test_what_the_services_say_keeps_to_the_words_of_the_glossary() -> None:
 
 def printed_texts() -> Iterator[tuple[str, str]]:
     """File and text of every string with a space in the command line's modules, but for docstrings."""
-    for path in sorted((ROOT / "services" / "cli").rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+    for name, tree in python_files("cli").items():
         documentation = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and node not in documentation and " " in str(node.value):
-                yield path.name, str(node.value)
+                yield name, str(node.value)
 
 
 def test_what_the_command_line_prints_keeps_to_the_words_of_the_glossary() -> None:

@@ -7,7 +7,6 @@ import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 from string import Formatter
 
 import pytest
@@ -15,15 +14,13 @@ from babel.messages.pofile import read_po
 
 from capture2vr.gateway.languages import LANGUAGES, catalogue_of
 from capture2vr.sentences.sentence import HERE, english
-from tests.support.repository import ROOT
+from tests.support.python_files import SERVICES, python_files
 
-SERVICES = ROOT / "services"
 SPEAKERS = ("edge", "gateway", "order", "process", "storage")
 RAISED = {"ArchiveError", "CaptureError", "EdgeError", "Failure", "Problem", "Refused", "UnreadableError", "limited"}
 """What carries a sentence to people: its arguments are sentences."""
 SAID = {"hints", "hint", "detail", "message", "advice", "because", "warnings"}
 OF_ENGINEERS = {  # said on a command line, to a program, or in a log alone
-    "edge/api",
     "edge/engine",
     "edge/field/device.py",
     "edge/jobs/archived_arrays.py",
@@ -59,21 +56,13 @@ def texts_in(node: ast.AST) -> Iterator[str]:
 
 
 @cache
-def parsed() -> tuple[list[tuple[Path, ast.Call]], set[str]]:
-    """Every call in the speakers' modules with its module, and every text."""
-    calls, texts = list[tuple[Path, ast.Call]](), set[str]()
-    for speaker in SPEAKERS:
-        for path in sorted((SERVICES / speaker).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Call):
-                    calls.append((path, node))
-                elif text := written(node):
-                    texts.add(text)
-    return calls, texts
+def calls() -> list[tuple[str, ast.Call]]:
+    """Every call in the speakers' modules, with its module's name."""
+    trees = python_files(*SPEAKERS).items()
+    return [(name, node) for name, tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
 
 
-def is_of_engineers(path: Path) -> bool:
-    name = path.relative_to(SERVICES).as_posix()
+def is_of_engineers(name: str) -> bool:
     return any(name == each or name.startswith(f"{each}/") for each in OF_ENGINEERS)
 
 
@@ -83,9 +72,9 @@ def called(node: ast.Call) -> str:
 
 def sentences_to_people() -> Iterator[tuple[str, str]]:
     """Each with its place."""
-    for path, call in parsed()[0]:
-        if not is_of_engineers(path):
-            yield from ((f"{path.relative_to(ROOT)}:{call.lineno}", text) for text in sentences_of(call))
+    for name, call in calls():
+        if not is_of_engineers(name):
+            yield from ((f"{name}:{call.lineno}", text) for text in sentences_of(call))
 
 
 def sentences_of(call: ast.Call) -> Iterator[str]:
@@ -107,10 +96,10 @@ def of_presets() -> Iterator[str]:
 
 def said() -> Iterator[tuple[str, ast.Call, str]]:
     """Each call of `say` with a code: its place, the call, the code."""
-    for path, call in parsed()[0]:
+    for name, call in calls():
         if called(call) == "say":
             for code in texts_in(call.args[0]):
-                yield f"{path.relative_to(ROOT)}:{call.lineno}", call, code
+                yield f"{name}:{call.lineno}", call, code
 
 
 def values_in(text: str) -> list[tuple[str, str]]:
@@ -144,7 +133,9 @@ def test_every_code_is_in_the_catalogue_and_gets_the_values_of_its_sentence() ->
 
 
 def test_no_sentence_is_left_over() -> None:
-    assert set(english()) - parsed()[1] - set(of_presets()) == set()
+    trees = python_files(*SPEAKERS).values()
+    texts = {text for tree in trees for node in ast.walk(tree) if (text := written(node))}
+    assert set(english()) - texts - set(of_presets()) == set()
 
 
 def test_the_catalogues_are_sorted_by_code_as_git_merges_them_best() -> None:
