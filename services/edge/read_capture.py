@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import posixpath
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -65,6 +68,10 @@ _UNREAD_MODELS = (".usd", ".usda", ".usdc", ".usdz", ".fbx", ".dae", ".3mf", ".3
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
 # Text tables of numbers that belong to a recording; they look like point clouds, and are none.
 _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
+# Where a model names its textures, besides its own first lines; and the folders that programs put them into.
+_MATERIALS = (".mtl", ".gltf")
+_MATERIAL_BYTES = 4 * 2**20
+_TEXTURES = re.compile("texture|material|maps", re.IGNORECASE)
 _FORMATS_HINT = say("send_photos_video_point_cloud")
 
 
@@ -116,10 +123,29 @@ def _read_files(folder: Folder) -> Capture:
     candidates.sort(key=lambda found: -folder.path(found[0]).stat().st_size)
     (name, kind), others = candidates[0], [other for other, _ in candidates[1:]]
     capture = read_cloud(folder, name, kind)
-    if not others:
-        return capture
-    more = say("only_used_other_point_clouds", name=name, count=len(others), names=", ".join(others[:3]))
-    return replace(capture, warnings=(*capture.warnings, more))
+    unused = _unused_photos(folder, name)
+    warnings = list(capture.warnings)
+    if others:
+        warnings.append(say("only_used_other_point_clouds", name=name, count=len(others), names=", ".join(others[:3])))
+    if unused:
+        warnings.append(say("photos_beside_not_used", name=name, count=len(unused), first=unused[0]))
+    return replace(capture, warnings=tuple(warnings))
+
+
+def _unused_photos(folder: Folder, model: str) -> list[str]:
+    """Return the photos beside a model, of which somebody may have expected to become the mesh; [] for its textures.
+
+    Textures are named in the model's materials or first lines, or are in a folder of textures; fewer than MIN_PHOTOS
+    pictures are no capture.
+    """
+    texts = [_start(folder.path(name)) for name in folder.names if name == model or name.lower().endswith(_MATERIALS)]
+    named = unquote(b"\n".join(texts).decode("utf-8", "replace"))
+    found = [
+        name
+        for name in photos.pictures(folder)
+        if posixpath.basename(name) not in named and not _TEXTURES.search(posixpath.dirname(name))
+    ]
+    return found if len(found) >= MIN_PHOTOS else []
 
 
 def _read_pictures(folder: Folder) -> Capture:
@@ -190,6 +216,11 @@ def _unknown(folder: Folder) -> CaptureError:
 
 def _only_file(folder: Folder) -> str | None:
     return folder.names[0] if len(folder.names) == 1 else None
+
+
+def _start(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(_MATERIAL_BYTES)
 
 
 def _head(path: Path) -> bytes:

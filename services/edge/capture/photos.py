@@ -19,7 +19,7 @@ from capture2vr.sentences.sentence import say
 
 MAX_PHOTOS = 300  # a walk-around has 20 to 100; each further photo costs seconds and improves almost nothing
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif")
-_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif")
 _SEND_AGAIN = say("send_again_as_jpeg_heic")
 
 _T = TypeVar("_T")
@@ -32,7 +32,7 @@ def matches(folder: Folder) -> bool:
 
 def pictures(folder: Folder) -> list[str]:
     """Return the files that are images by their magic number or by their suffix."""
-    return [name for name in folder.names if name.lower().endswith(_SUFFIXES) or _is_picture(folder, name)]
+    return [name for name in folder.names if name.lower().endswith(SUFFIXES) or _is_picture(folder, name)]
 
 
 def read(folder: Folder) -> Capture:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import posixpath
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -20,6 +20,7 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder, number_order, numbers, read_text, truncated, unreadable
 from capture2vr.edge.capture.frame_records import checked_intrinsics, missing_warning
 from capture2vr.edge.capture.images import read_bytes
+from capture2vr.edge.capture.listed_pictures import find_pictures
 from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
 from capture2vr.edge.capture.photos import read_photo
 from capture2vr.edge.capture.posed_photos import GivenCamera, posed_capture, unlisted_warning, with_camera
@@ -79,7 +80,7 @@ def read(folder: Folder) -> Capture:
     images = sorted(_images(folder, images_file), key=lambda image: number_order(image.name))
     if not images:
         raise CaptureError("CAPTURE_EMPTY", say("colmap_model_lists_no_photos"), file=images_file)
-    places = _photo_files(folder, images, images_file)
+    places = find_pictures(folder, [image.name for image in images], by=images_file)
     missing = [image.name for image in images if image.name not in places]
     if not places:
         reason = say("lists_photos_but_capture", count=len(missing), name=missing[0])
@@ -100,26 +101,6 @@ def _find_model(folder: Folder) -> tuple[str, str] | None:
         if posixpath.basename(path) == "cameras" and end in (".bin", ".txt") and folder.has(images):
             found.append((end == ".bin", folder.path(images).stat().st_size, name, images))
     return max(found)[2:] if found else None
-
-
-def _photo_files(folder: Folder, images: Sequence[_Image], file: str) -> dict[str, str]:
-    """Map each photo's name in the model to its file, relative to the folder that has most of the photos.
-
-    Of equal folders the shortest path is taken, since downscaled copies are in folders like `images_4`."""
-    names = [folder.resolve(image.name, by=file) for image in images]
-    known = set(names)
-    counts: dict[str, int] = {}
-    for name in folder.names:
-        parts = name.split("/")
-        for depth in range(len(parts)):
-            if "/".join(parts[depth:]) in known:
-                below = "/".join(parts[:depth])
-                counts[below] = counts.get(below, 0) + 1
-    if not counts:
-        return {}
-    below = min(counts, key=lambda top: (-counts[top], len(top)))
-    places = {image.name: posixpath.join(below, name) for image, name in zip(images, names, strict=True)}
-    return {name: place for name, place in places.items() if folder.has(place)}
 
 
 def _photo(folder: Folder, place: str, image: _Image, cameras: dict[int, _ColmapCamera], file: str) -> Photo:

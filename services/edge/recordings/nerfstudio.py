@@ -7,6 +7,7 @@ so half a pixel is subtracted from cx and cy.
 from __future__ import annotations
 
 import math
+import posixpath
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +26,7 @@ from capture2vr.edge.capture.frame_records import (
     rgbd_capture,
 )
 from capture2vr.edge.capture.images import has_8_bits, image_size, read_bytes
+from capture2vr.edge.capture.listed_pictures import find_pictures
 from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
 from capture2vr.edge.capture.photos import read_photo
 from capture2vr.edge.capture.posed_photos import GivenCamera, posed_capture, unlisted_warning, with_camera
@@ -56,16 +58,19 @@ def read(folder: Folder) -> Capture:
     """
     tree = read_json(folder.path(FILE), FILE)
     frames = _frames(tree)
-    named = [(frame, name) for frame in frames if (name := _depth_name(folder, frame)) is not None]
-    if not named:
+    written = [(frame, path) for frame in frames if (path := _depth_path(frame)) is not None]
+    if not written:
         return _photos(folder, tree, frames)
-    present, missing = _split_present(folder, named)
+    present, missing = _split_present(folder, written)
     if not present:
         reason = say("lists_depth_images_but_capture", count=len(missing), name=missing[0])
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_folder_depth_images"),))
     if _is_preview(folder, present[0][1]) and (capture := _photos_instead(folder, tree, frames, present[0][1])):
         return capture
-    records = [_record(folder, tree | frame, name) for frame, name in present]
+    colours = find_pictures(folder, [frame["file_path"] for frame in frames if "file_path" in frame], by=FILE)
+    records = [
+        _record(folder, tree | frame, depth, colours.get(str(frame.get("file_path")))) for frame, depth in present
+    ]
     warnings = missing_warning(missing, say("word_depth_images"))
     return rgbd_capture("nerfstudio", records, axes="opengl", up=None, file=FILE, warnings=warnings)
 
@@ -79,28 +84,23 @@ def _frames(tree: Mapping[str, Any]) -> list[dict[str, Any]]:
     return frames
 
 
-def _split_present(folder: Folder, named: Sequence[_Named]) -> tuple[list[_Named], list[str]]:
-    """Return the frames whose image is in the capture, and the names of the other frames' images."""
-    present = [(frame, name) for frame, name in named if folder.has(name)]
-    return present, [name for _, name in named if not folder.has(name)]
+def _split_present(folder: Folder, written: Sequence[tuple[dict[str, Any], object]]) -> tuple[list[_Named], list[str]]:
+    """Return the frames whose image is in the capture, and the paths of the other frames' images."""
+    found = find_pictures(folder, [path for _, path in written], by=FILE)
+    present = [(frame, found[str(path)]) for frame, path in written if str(path) in found]
+    return present, [posixpath.normpath(str(path)) for _, path in written if str(path) not in found]
 
 
 def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]]) -> Capture:
     """Read the images as posed photos. The scale is unknown: it depends on the program that computed the poses."""
-    present, missing = _split_present(folder, [(tree | frame, _image_name(folder, frame)) for frame in frames])
+    present, missing = _split_present(folder, [(tree | frame, frame.get("file_path")) for frame in frames])
     if not present:
         reason = say("lists_images_but_capture", count=len(missing), name=missing[0])
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_images"),))
     tries = [partial(_photo, folder, frame, name) for frame, name in present]
-    depths = [depth for frame, _ in present if (depth := _depth_name(folder, frame)) is not None]
+    depths = find_pictures(folder, filter(None, map(_depth_path, frames)), by=FILE).values()
     unlisted = unlisted_warning(folder, {*depths, *(name for _, name in present)}, FILE)
     return posed_capture("nerfstudio", tries, warnings=(*missing_warning(missing, say("word_images")), *unlisted))
-
-
-def _image_name(folder: Folder, frame: Mapping[str, Any]) -> str:
-    """Return the name of a frame's image, adding the suffix where it is missing, as in instant-ngp's synthetic sets."""
-    name = folder.resolve(frame.get("file_path"), by=FILE)
-    return name if folder.has(name) else next((name + end for end in (".png", ".jpg") if folder.has(name + end)), name)
 
 
 def _photo(folder: Folder, frame: Mapping[str, Any], name: str) -> Photo:
@@ -127,22 +127,19 @@ def _photos_instead(
 ) -> Capture | None:
     """Read the images as posed photos, with a warning that `depth` is a preview; None where there are no images."""
     pictured = [frame for frame in frames if frame.get("file_path")]
-    if not any(folder.has(_image_name(folder, frame)) for frame in pictured):
+    if not find_pictures(folder, [frame["file_path"] for frame in pictured], by=FILE):
         return None
     capture = _photos(folder, tree, pictured)
     warning = say("depth_of_8_bits_ignored", file=depth)
     return replace(capture, warnings=(warning, *capture.warnings))
 
 
-def _depth_name(folder: Folder, frame: Mapping[str, Any]) -> str | None:
-    written = frame.get("depth_file_path") or frame.get("depth_path")
-    return None if written is None else folder.resolve(written, by=FILE)
+def _depth_path(frame: Mapping[str, Any]) -> object:
+    return frame.get("depth_file_path") or frame.get("depth_path")
 
 
-def _record(folder: Folder, frame: Mapping[str, Any], depth: str) -> FrameRecord:
+def _record(folder: Folder, frame: Mapping[str, Any], depth: str, colour: str | None) -> FrameRecord:
     """Read one frame. `frame` has the file's keys, overridden by the frame's: intrinsics may be in either place."""
-    colour = folder.resolve(frame["file_path"], by=FILE) if "file_path" in frame else None
-    colour = colour if colour is not None and folder.has(colour) else None
     pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {depth}").reshape(4, 4)
     source = depth_file(folder.path(depth), depth, _metres_per_step(frame))
     camera = _camera(frame, source.size if colour is None else partial(image_size, folder.path(colour), colour))

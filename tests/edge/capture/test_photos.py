@@ -22,7 +22,9 @@ from capture2vr.edge.capture import photos
 from capture2vr.edge.capture.files import Folder, open_folder
 from capture2vr.edge.capture.nouns import Photo
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.read_capture import read_capture
 from tests.edge.capture.test_bad_captures import png_header
+from tests.support import captures
 
 pillow_heif.register_heif_opener()
 RGB = np.random.default_rng(3).integers(0, 256, (6, 8, 3), np.uint8).repeat(8, axis=0).repeat(8, axis=1)  # 64 x 48
@@ -365,3 +367,24 @@ def test_hundreds_of_photos_are_thinned_evenly(tmp_path: Path) -> None:
 def test_pictures_are_told_by_their_bytes(tmp_path: Path, name: str, head: bytes, found: bool) -> None:
     (tmp_path / name).write_bytes(head)
     assert photos.matches(open_folder(tmp_path)) is found
+
+
+@pytest.mark.parametrize(
+    ("place", "materials", "warned"),
+    [
+        ("{}.jpg", "", True),
+        ("textures/{}.jpg", "", False),
+        ("{}.jpg", "map_Kd 0.jpg\nmap_Kd 1.jpg\nmap_Kd 2.jpg\n", False),
+        ("a {}.jpg", '{"images": [{"uri": "a%200.jpg"}, {"uri": "a%201.jpg"}, {"uri": "a%202.jpg"}]}', False),
+    ],
+)
+def test_a_mesh_never_takes_the_place_of_photos_in_silence(
+    place: str, materials: str, warned: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "mesh.obj").write_text("".join(f"v {x} {y} {x * y}\n" for x in range(10) for y in range(10)))
+    (tmp_path / ("scene.gltf" if materials.startswith("{") else "mesh.mtl")).write_text(materials)
+    for index in range(3):
+        captures.save_jpg(tmp_path / place.format(index), captures.picture(index))
+    capture = read_capture(tmp_path)
+    assert capture.kind == "points"
+    assert any("the 3 photos beside it" in warning for warning in capture.warnings) == warned
