@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from capture2vr.edge.arrays import Bools, Floats, Tick
+from capture2vr.edge.cameras.features import resize_mask
 from capture2vr.edge.capture.nouns import Photo, PhotoVerdict
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.parallel import in_threads
@@ -40,7 +41,7 @@ class _PhotoTraits:
     """Measurements of a photo for screening.
 
     sharpness (4,) by direction, NaN for a picture without detail; hash (64,) bool: perceptual hash;
-    thumb (h,w) float32 luma; tones: 50th and 95th percentile of luma.
+    thumb (h,w) float32 luma; tones: 50th and 95th percentile of luma inside the photo's mask.
     """
 
     photo: Photo
@@ -80,7 +81,8 @@ def _traits_or_error(photo: Photo) -> _PhotoTraits | CaptureError:
 def _photo_traits(photo: Photo) -> _PhotoTraits:
     """Load a photo and measure it. Raises CaptureError."""
     luma = cv2.cvtColor(photo.load(LONGEST_PX), cv2.COLOR_RGB2GRAY).astype(np.float32)
-    tones = np.percentile(luma, (50, 95))
+    shown = luma if photo.mask is None else luma[resize_mask(photo.mask, luma.shape)]
+    tones = np.percentile(shown if shown.size else luma, (50, 95))
     thumb = np.asarray(cv2.resize(luma, _THUMB, interpolation=cv2.INTER_AREA), np.float32)
     return _PhotoTraits(photo, _sharpness(luma), _difference_hash(luma), thumb, (float(tones[0]), float(tones[1])))
 

@@ -150,6 +150,7 @@ class Photo:
     distortion       OpenCV's (k1, k2, p1, p2, k3), for photos with intrinsics
     camera_to_world  (4,4) float64, OpenCV axes, or None where structure from motion has to compute it
     load_alpha       -> (h,w) uint8 as stored, or None when decoding shows that the file has no alpha channel
+    load_mask        -> (h,w) bool of any size, from a file of its own; None where the photo has no such file
     mask             (h,w) bool of any size, as stored: True where the picture may be used; None: everywhere
     up_in_camera     unit vector against gravity in the axes of the stored picture, or None where the file has none
     elevation_deg    of the optical axis over the horizon, or None where the file has none
@@ -166,6 +167,7 @@ class Photo:
     distortion: tuple[float, ...] = ()
     camera_to_world: Floats | None = None
     load_alpha: Callable[[], Bytes | None] | None = None
+    load_mask: Callable[[], Bools] | None = None
     mask: Bools | None = None
     up_in_camera: tuple[float, float, float] | None = None
     elevation_deg: float | None = None

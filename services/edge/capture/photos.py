@@ -11,6 +11,7 @@ import numpy as np
 from capture2vr.edge.capture.files import Folder
 from capture2vr.edge.capture.gravity_tags import elevation_deg, up_in_camera
 from capture2vr.edge.capture.images import read_bytes
+from capture2vr.edge.capture.masks import mask_file, mask_loader, split_masks, stray_masks_warning
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
 from capture2vr.edge.capture.photo_copy import keep_copy
 from capture2vr.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
@@ -31,7 +32,11 @@ def matches(folder: Folder) -> bool:
 
 
 def pictures(folder: Folder) -> list[str]:
-    """Return the files that are images by their magic number or by their suffix."""
+    """Return the files that are images by their magic number or by their suffix, without the masks of others."""
+    return split_masks(folder, _pictures_and_masks(folder))[0]
+
+
+def _pictures_and_masks(folder: Folder) -> list[str]:
     return [name for name in folder.names if name.lower().endswith(SUFFIXES) or _is_picture(folder, name)]
 
 
@@ -41,7 +46,7 @@ def read(folder: Folder) -> Capture:
     A single photo is a capture of kind "image". With fewer than MIN_PHOTOS readable photos, raises CAPTURE_UNREADABLE
     or IMAGE_TOO_LARGE, naming the first unreadable one, or CAPTURE_LOW_OVERLAP when all of them can be read.
     """
-    names = pictures(folder)
+    names, masks = split_masks(folder, _pictures_and_masks(folder))
     if len(names) == 1:
         return _single_photo(read_photo(folder, names[0]))
     photos: list[Photo] = []
@@ -58,7 +63,7 @@ def read(folder: Folder) -> Capture:
         "photos",
         photos=tuple(photos),
         verdicts=tuple(map(unreadable_verdict, errors)),
-        warnings=left_out_warning(len(names)),
+        warnings=(*left_out_warning(len(names)), *stray_masks_warning(folder, masks, names)),
     )
 
 
@@ -75,7 +80,7 @@ def read_photo(folder: Folder, name: str) -> Photo:
     focal = focal_px(header.tags, header.size)
     camera = camera_key(header.tags, focal, header.size)
     pixels = PhotoPixels(partial(read_bytes, path, name), name, header.decoder, header.size, header.turned)
-    alpha = partial(alpha_channel, path, name) if header.decoder != "heif" else None
+    mask = mask_file(folder, name)
     return Photo(
         name,
         header.size,
@@ -83,7 +88,8 @@ def read_photo(folder: Folder, name: str) -> Photo:
         keep_copy(pixels),
         focal,
         header.turns,
-        load_alpha=alpha,
+        load_alpha=partial(alpha_channel, path, name) if header.alpha else None,
+        load_mask=None if mask is None else mask_loader(folder, mask),
         up_in_camera=up_in_camera(header.tags, header.turns),
         elevation_deg=elevation_deg(header.tags),
     )

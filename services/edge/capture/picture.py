@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
@@ -67,6 +67,7 @@ class Header:
     size     (width, height) as stored
     turns    as in `Photo`
     turned   clockwise quarter turns that the decoder already applies by itself
+    alpha    whether the file may have an alpha channel
     """
 
     size: tuple[int, int]
@@ -74,11 +75,12 @@ class Header:
     tags: Tags
     turns: int
     turned: int
+    alpha: bool = False
 
 
-def _header_as_stored(size: tuple[int, int], decoder: _Decoder, tags: Tags, turns: int, turned: int) -> Header:
-    """Make a header from the `size` after the decoder's own rotation: undo it."""
-    return Header(size[::-1] if turned % 2 else size, decoder, tags, turns, turned)
+def _header_as_stored(header: Header) -> Header:
+    """Undo the decoder's own rotation in a header's size."""
+    return replace(header, size=header.size[::-1]) if header.turned % 2 else header
 
 
 def _plain_header(path: Path, file: str) -> Header:
@@ -89,6 +91,7 @@ def _plain_header(path: Path, file: str) -> Header:
         warnings.simplefilter("ignore")  # damaged tags are read as far as possible
         with Image.open(path, formats=_PILLOW_FORMATS) as image:
             size, mode, tiff = image.size, image.mode, image.format == "TIFF"
+            alpha = mode.endswith(("A", "a")) or "transparency" in image.info
             # Not `image.getexif()`: for tags behind the pixels it would decode a whole PNG.
             tags = _tags(lambda: Image.Image.getexif(image))
     if _DNG_VERSION in tags:
@@ -96,7 +99,7 @@ def _plain_header(path: Path, file: str) -> Header:
     turns = _TURNS.get(tags.get(_ORIENTATION, 1), 0)
     # OpenCV decodes CMYK to wrong colours.
     decoder: _Decoder = "pillow" if mode == "CMYK" else "opencv"
-    return _header_as_stored(check_pixels(size, file), decoder, tags, turns, turns if tiff else 0)
+    return _header_as_stored(Header(check_pixels(size, file), decoder, tags, turns, turns if tiff else 0, alpha=alpha))
 
 
 def _heif_header(path: Path, file: str) -> Header:
@@ -108,7 +111,7 @@ def _heif_header(path: Path, file: str) -> Header:
         size = image.size  # raises where the file has no picture
     tags = _tags(lambda: _block_tags(image.info.get("exif")))
     turned = _irot(data)
-    return _header_as_stored(check_pixels(size, file), "heif", tags, turned, turned)
+    return _header_as_stored(Header(check_pixels(size, file), "heif", tags, turned, turned))
 
 
 def _irot(data: bytes) -> int:

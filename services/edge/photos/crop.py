@@ -43,7 +43,7 @@ def crop_photo(photo: Photo, box: CropRectangle) -> Photo:
         mask = _cut(mask.astype(np.uint8), photo.size, (left, top, width, height), cv2.INTER_NEAREST).astype(bool)
     load = _CropLoader(photo.load, photo.size, (left, top, width, height))
     part = _part_of(photo, (left, top, width, height))
-    return replace(photo, size=(width, height), load=load, load_alpha=None, mask=mask, part=part)
+    return replace(photo, size=(width, height), load=load, load_alpha=None, load_mask=None, mask=mask, part=part)
 
 
 def _part_of(photo: Photo, pixels: tuple[int, int, int, int]) -> tuple[float, float, float, float]:

@@ -13,6 +13,7 @@ from capture2vr.edge.cameras.nouns import Alignment, PhotoView
 from capture2vr.edge.cameras.parallax import require_parallax
 from capture2vr.edge.cameras.screening import screen
 from capture2vr.edge.cameras.structure_from_motion import align
+from capture2vr.edge.capture.masks import with_masks
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture, Frame, Photo, PhotoVerdict, UpSource
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.photos.crop import crop_photo
@@ -52,11 +53,8 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
     Raises CaptureError: CAPTURE_LOW_OVERLAP where the photos do not overlap enough, with what to shoot next;
     CAPTURE_DEGENERATE where the camera turned, but did not move.
     """
-    masked = mask_background(capture.photos, lambda fraction: tick(_MASKED * fraction))
-    turntable = bool(masked)
-    photos, refused = _screen_photos(
-        masked or capture.photos, lambda part: tick(_MASKED + (_SCREENED - _MASKED) * part)
-    )
+    masked, turntable, mask_warnings = _masked_photos(capture.photos, lambda part: tick(_MASKED * part))
+    photos, refused = _screen_photos(masked, turntable, lambda part: tick(_MASKED + (_SCREENED - _MASKED) * part))
     if refused and len(photos) < MIN_PHOTOS:
         raise _too_few_photos(len(capture.photos), refused)
     alignment = _align(photos, lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
@@ -83,6 +81,7 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
         up_source=up_source,
         warnings=(
             *capture.warnings,
+            *mask_warnings,
             *_unused_warning(verdicts),
             *((_CONTRADICTED,) if alignment.contradicted else ()),
             *alignment.warnings,
@@ -90,6 +89,15 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
             *((_TURNTABLE,) if turntable else ()),
         ),
     )
+
+
+def _masked_photos(photos: Sequence[Photo], tick: Tick) -> tuple[tuple[Photo, ...], bool, tuple[str, ...]]:
+    """Return the photos with their masks, or without a turntable's background; whether it is one; and warnings."""
+    given, warnings = with_masks(photos, lambda _: tick(0.0))
+    if any(photo.mask is not None for photo in given):
+        return given, False, warnings
+    masked = mask_background(given, tick)
+    return masked or given, bool(masked), warnings
 
 
 def _align(photos: Sequence[Photo], tick: Tick) -> Alignment:
@@ -118,9 +126,11 @@ def _which_way_is_up(
     return gravity_up(alignment.views) or (None, capture.up_source)
 
 
-def _screen_photos(photos: Sequence[Photo], tick: Tick) -> tuple[tuple[Photo, ...], tuple[PhotoVerdict, ...]]:
-    """Return the photos worth aligning, and verdicts on the others; with masks, only the object is judged."""
-    if all(photo.mask is None for photo in photos):
+def _screen_photos(
+    photos: Sequence[Photo], turntable: bool, tick: Tick
+) -> tuple[tuple[Photo, ...], tuple[PhotoVerdict, ...]]:
+    """Return the photos worth aligning, and verdicts on the others; on a turntable only the object is judged."""
+    if not turntable:
         return screen(photos, tick=tick)
     box = thing_box(photos)
     accepted, refused = screen([crop_photo(photo, box) for photo in photos], tick=tick)

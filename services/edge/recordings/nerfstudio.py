@@ -27,6 +27,7 @@ from capture2vr.edge.capture.frame_records import (
 )
 from capture2vr.edge.capture.images import has_8_bits, image_size, read_bytes
 from capture2vr.edge.capture.listed_pictures import find_pictures
+from capture2vr.edge.capture.masks import mask_loader
 from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
 from capture2vr.edge.capture.photos import read_photo
 from capture2vr.edge.capture.posed_photos import GivenCamera, posed_capture, unlisted_warning, with_camera
@@ -105,6 +106,9 @@ def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any
 
 def _photo(folder: Folder, frame: Mapping[str, Any], name: str) -> Photo:
     photo = read_photo(folder, name)
+    mask = frame.get("mask_path")
+    if mask is not None and folder.has(at := folder.resolve(mask, by=FILE)):
+        photo = replace(photo, load_mask=mask_loader(folder, at))
     camera = _camera(frame, lambda: photo.size)
     lens = _lens(frame, camera)
     pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {name}").reshape(4, 4)

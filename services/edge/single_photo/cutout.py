@@ -1,7 +1,7 @@
 """Cut the thing out of a photo, and crop the square around it that the network sees. numpy and OpenCV.
 
-The mask is an alpha channel, where there is one. Otherwise a rectangle that a person drew decides; without one, what
-stands out from a plain background; and where nothing does, the largest thing near the middle is proposed.
+The photo's mask or alpha channel decides, where there is one. Otherwise a rectangle that a person drew does; without
+one, what stands out from a plain background; and where nothing does, the largest thing near the middle is proposed.
 """
 
 from __future__ import annotations
@@ -71,13 +71,13 @@ class CutOut:
 
 
 def cut_out(photo: Photo, box: PhotoBox | None = None) -> CutOut:
-    """Segment the thing in a photo: by its alpha channel, if that hides anything, else by colour.
+    """Segment the thing in a photo: by its mask or alpha channel, if that hides anything, else by colour.
 
     box  the rectangle that the thing lies in, where a person has drawn one
 
     Raises CaptureError CAPTURE_NO_OBJECT where there is no thing, or what there is is cut off on every side.
     """
-    alpha = photo.load_alpha() if photo.load_alpha else None
+    alpha = _alpha(photo)
     if alpha is not None and 0 < (alpha >= _OPAQUE).mean() < 1:
         return _cut_by_alpha(photo, alpha, box)
     if box is None or box.width * box.height > _ALL:
@@ -86,6 +86,13 @@ def cut_out(photo: Photo, box: PhotoBox | None = None) -> CutOut:
     area = box.grown(_AROUND)
     rgb = _load_area(photo, area)
     return CutOut(rgb, segment_in_box(rgb, *_pixels(box, area, rgb.shape), photo.name), area)
+
+
+def _alpha(photo: Photo) -> Bytes | None:
+    """Return the photo's mask as an alpha channel, or its own alpha channel; None without either."""
+    if photo.load_mask is not None:
+        return photo.load_mask().astype(np.uint8) * np.uint8(255)
+    return photo.load_alpha() if photo.load_alpha is not None else None
 
 
 def rotate_clockwise(pixels: Bytes, turns: int) -> Bytes:
