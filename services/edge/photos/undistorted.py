@@ -11,6 +11,8 @@ from capture2vr.edge.cameras.features import resize_mask
 from capture2vr.edge.cameras.nouns import PhotoView
 from capture2vr.edge.capture.nouns import Intrinsics
 
+_REACH = 4.0
+"""Pixels of a mask by which colours are continued beyond it: more than half a window of stereo at its resolution."""
 _NEGLIGIBLE_DISTORTION = 1e-6
 """Largest distortion coefficient that is ignored: less moves no pixel by a hundredth of a pixel."""
 
@@ -64,10 +66,31 @@ def _mask(view: PhotoView, camera: Intrinsics) -> Bools | None:
 
 
 def load_undistorted_rgb(view: PhotoView, longest: int) -> tuple[Bytes, Intrinsics]:
-    """Load a view's undistorted picture (H,W,3) uint8 sRGB, and its pinhole camera."""
-    rgb = view.photo.load(longest)
+    """Load a view's undistorted picture (H,W,3) uint8 sRGB, and its pinhole camera.
+
+    Where a mask came with the photo, the object's colours go on beyond its outline.
+    """
+    rgb, photo = view.photo.load(longest), view.photo
+    if photo.mask is not None and (photo.load_mask or photo.load_alpha):
+        rgb = extend_colours(rgb, photo.mask)
     camera = view.intrinsics.scaled_to(rgb.shape[1], rgb.shape[0])
     return _undistort(rgb, view, camera), camera
+
+
+def extend_colours(rgb: Bytes, mask: Bools) -> Bytes:
+    """Continue the colours (H,W,3) inside a mask beyond its outline, which would else tint rims and windows across it.
+
+    Transparent pixels are often black, and a mask's outline is not exact: its outermost pixel is replaced, too.
+    """
+    import cv2
+
+    reach = _REACH * max(rgb.shape) / max(mask.shape)
+    inner = resize_mask(cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool), rgb.shape[:2])
+    side = 2 * int(np.ceil(reach)) + 1
+    weight = cv2.blur(inner.astype(np.float32), (side, side))[..., None]
+    mean = cv2.blur(np.where(inner[..., None], rgb, np.uint8(0)).astype(np.float32), (side, side))
+    replaced = ~inner[..., None] & (weight * side**2 > 0.5)  # rounding leaves a little where no pixel is
+    return np.where(replaced, mean / np.maximum(weight, 1e-6) + 0.5, rgb).astype(np.uint8)
 
 
 def _undistort(pixels: Bytes, view: PhotoView, camera: Intrinsics) -> Bytes:

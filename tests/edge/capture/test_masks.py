@@ -15,6 +15,7 @@ from capture2vr.edge.capture.files import Folder, open_folder
 from capture2vr.edge.capture.masks import mask_file, with_masks
 from capture2vr.edge.capture.nouns import Photo
 from capture2vr.edge.capture.photos import pictures, read, read_photo
+from capture2vr.edge.photos.undistorted import extend_colours
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.single_photo.cutout import cut_out
 from tests.support import captures
@@ -157,3 +158,14 @@ def test_a_photo_that_is_transparent_everywhere_is_told(tmp_path: Path) -> None:
     (photo,), (warning,) = with_masks([read_photo(open_folder(tmp_path), "1.png")], no_tick)
     assert photo.mask is None
     assert "1 of 1 masks cannot be used; the first: 1.png: its mask hides everything" in warning
+
+
+def test_what_is_transparent_tints_no_rim() -> None:
+    """Two pixels beyond the outline, and in its last pixel, which is half black, the colour is the object's."""
+    rgb = np.where(DISC[..., None], np.uint8([200, 100, 50]), np.uint8(0))
+    rim = DISC & ~cv2.erode(DISC.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    rgb[rim] //= 2
+    near = cv2.dilate(DISC.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    extended = extend_colours(rgb, DISC)
+    assert (extended[near] == [200, 100, 50]).all()
+    assert (extended[0, -1] == 0).all()
