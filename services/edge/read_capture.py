@@ -133,7 +133,7 @@ def _read_files(folder: Folder) -> Capture:
 
 
 def _unused_photos(folder: Folder, model: str) -> list[str]:
-    """Return the photos beside a model, of which somebody may have expected to become the mesh; [] for its textures.
+    """Return the photos beside a model that may have been meant to become the mesh; none for the model's textures.
 
     Textures are named in the model's materials or first lines, or are in a folder of textures; fewer than MIN_PHOTOS
     pictures are no capture.
