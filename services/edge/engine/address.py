@@ -51,7 +51,7 @@ def _open_ray(address: str) -> Engine:
 
 
 def engine_for_parts(setting: str, room: Needs) -> OpenEngine | None:
-    """Return what opens the engine that works at the parts of a job side by side; None where there is but one core.
+    """Return a function that opens the engine for the parts of a job, side by side; None where there is one core alone.
 
     room  of this machine, for one job
 

@@ -47,7 +47,7 @@ class ViewingDistance:
         return cls(*_least(*_spread(keys, least)))
 
     def is_near(self, places: Floats, eyes: Floats) -> Bools:
-        """Mask (N,) of the places (N,3) that were seen from hardly any nearer than from `eyes` (N,3) or (3,)."""
+        """Return a mask (N,) of the places (N,3) that no camera saw from much nearer than `eyes` (N,3) or (3,)."""
         away = np.linalg.norm(eyes - places, axis=1)
         near: Bools = away <= _ALWAYS_M
         far = np.flatnonzero(~near)

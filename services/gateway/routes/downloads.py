@@ -145,7 +145,7 @@ async def _read_version(request: Request, key: str, version: int | None) -> Entr
 
 
 def _headers(request: Request, version: int | None) -> dict[str, str]:
-    """Return who may keep the answer, and which sites' pages may read it: where a version is named nobody, and none."""
+    """Return the headers that tell who may cache and read the answer: nobody else where a version is named."""
     if version is not None:
         return {"Cache-Control": "private, no-store"}
     reading = reading_of(request)
