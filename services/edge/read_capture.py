@@ -138,7 +138,11 @@ def _unused_photos(folder: Folder, model: str) -> list[str]:
     Textures are named in the model's materials or first lines, or are in a folder of textures; fewer than MIN_PHOTOS
     pictures are no capture.
     """
-    texts = [_start(folder.path(name)) for name in folder.names if name == model or name.lower().endswith(_MATERIALS)]
+    texts = [
+        _head(folder.path(name), _MATERIAL_BYTES)
+        for name in folder.names
+        if name == model or name.lower().endswith(_MATERIALS)
+    ]
     named = unquote(b"\n".join(texts).decode("utf-8", "replace"))
     found = [
         name
@@ -218,11 +222,6 @@ def _only_file(folder: Folder) -> str | None:
     return folder.names[0] if len(folder.names) == 1 else None
 
 
-def _start(path: Path) -> bytes:
+def _head(path: Path, count: int = 16) -> bytes:
     with path.open("rb") as stream:
-        return stream.read(_MATERIAL_BYTES)
-
-
-def _head(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(16)
+        return stream.read(count)

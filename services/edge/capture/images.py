@@ -23,6 +23,7 @@ from capture2vr.sentences.sentence import say
 MAX_PIXELS = 100_000_000  # the largest phone sensors give 200 MP raw and 50 MP pictures; 100 MP is 300 MB decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
+_SAME_SHAPE = 0.02  # relative tolerance of the aspect ratio
 _MOST_SEGMENTS = 10_000  # of a JPEG before its size; phones write about ten, or a hundred with a map of depths
 
 
@@ -68,6 +69,11 @@ def check_pixels(size: tuple[int, int], file: str, most: int = MAX_PIXELS) -> tu
     if width < 1 or height < 1:
         raise broken_image(file, say("x_pixels_has_no_pixels", width=width, height=height))
     return size
+
+
+def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Return whether two pictures have the same aspect ratio, but for the rounded sides of scaled copies."""
+    return bool(abs(size[0] * other[1] - other[0] * size[1]) <= _SAME_SHAPE * other[0] * size[1])
 
 
 def header_size(head: bytes | mmap.mmap) -> tuple[int, int] | None:

@@ -20,8 +20,9 @@ import numpy as np
 from capture2vr.edge.arrays import Bools, Bytes, Tick
 from capture2vr.edge.capture.files import Folder
 from capture2vr.edge.capture.frame_records import first_names
-from capture2vr.edge.capture.images import broken_image, check_header, read_bytes
+from capture2vr.edge.capture.images import broken_image, same_shape
 from capture2vr.edge.capture.nouns import Photo
+from capture2vr.edge.capture.picture import pixels_as_stored, read_header
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.parallel import in_threads
 from capture2vr.sentences.sentence import say
@@ -32,8 +33,7 @@ _BESIDE = _FORMS[2:]  # in the photos' own folder the others would be photos
 _ENDS = (".png", ".PNG", ".jpg", ".JPG", ".jpeg", ".webp", ".tif", ".tiff")
 _MARKED = re.compile(r"[._]mask$", re.IGNORECASE)
 _LONGEST = 800  # pixels of a mask's longer side in memory: 0.5 MB; key points and depth are from 640 to 1,600 pixels
-_SAME_SHAPE = 0.02  # relative tolerance of the aspect ratio: scaled copies have rounded sides
-_OPAQUE = 128  # alpha from which on a pixel may be used
+OPAQUE = 128  # alpha from which on a pixel may be used
 _LEAST = 1e-3  # share of a photo that a mask shows at least; less is no object that could be seen
 
 
@@ -68,6 +68,8 @@ def _is_mask(folder: Folder, name: str) -> bool:
 
 def stray_masks_warning(folder: Folder, masks: Sequence[str], photos: Sequence[str]) -> tuple[str, ...]:
     """Return a warning about masks that belong to none of the photos, if any."""
+    if not masks:
+        return ()
     used = {mask_file(folder, photo) for photo in photos}
     stray = [name for name in masks if name not in used]
     return (say("masks_of_no_photo", names=first_names(stray)),) if stray else ()
@@ -80,14 +82,8 @@ def mask_loader(folder: Folder, name: str) -> Callable[[], Bools]:
 
 def _read_mask(path: Path, name: str) -> Bools:
     """Read a mask: what is lighter than half of its lightest pixel, as some have 0 and 1. Raises IMAGE_UNREADABLE."""
-    import cv2
-
-    data = read_bytes(path, name)
-    check_header(data, name)
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
-        pixels = None
+    read_header(path, name)  # refuses what is too large to be decoded
+    pixels = pixels_as_stored(path, name)
     if pixels is None:
         raise broken_image(name, say("cannot_be_decoded_image_data"))
     light: Any = pixels if pixels.ndim == 2 else pixels[..., :3].max(axis=2)
@@ -113,18 +109,19 @@ def with_masks(photos: Sequence[Photo], tick: Tick) -> tuple[tuple[Photo, ...], 
 def _mask_or_error(photo: Photo) -> Bools | CaptureError | None:
     """Return the mask of a photo, None for a photo without one, or why its mask cannot be used."""
     try:
-        mask = _stored_mask(photo)
-        return None if mask is None else _checked_mask(photo, mask)
+        alpha = mask_or_alpha(photo)
+        if alpha is None or (photo.load_mask is None and alpha.min() >= OPAQUE):
+            return None
+        return _checked_mask(photo, (alpha >= OPAQUE).astype(np.uint8))
     except CaptureError as error:
         return error
 
 
-def _stored_mask(photo: Photo) -> Bytes | None:
-    """Return a photo's mask from its file, or from an alpha channel that hides anything, as 0 and 1."""
+def mask_or_alpha(photo: Photo) -> Bytes | None:
+    """Return a photo's mask, 0 and 255, or else its alpha channel; None without either. Raises IMAGE_UNREADABLE."""
     if photo.load_mask is not None:
-        return photo.load_mask().astype(np.uint8)
-    alpha = photo.load_alpha() if photo.load_alpha is not None else None
-    return None if alpha is None or alpha.min() >= _OPAQUE else (alpha >= _OPAQUE).astype(np.uint8)
+        return photo.load_mask().astype(np.uint8) * np.uint8(255)
+    return photo.load_alpha() if photo.load_alpha is not None else None
 
 
 def _checked_mask(photo: Photo, mask: Bytes) -> Bools:
@@ -134,10 +131,10 @@ def _checked_mask(photo: Photo, mask: Bytes) -> Bools:
     """
     import cv2
 
-    width, height = photo.size
-    if photo.turns % 2 and not _fits(mask, photo.size) and _fits(mask, (height, width)):
+    drawn, (width, height) = mask.shape[::-1], photo.size
+    if photo.turns % 2 and not same_shape(drawn, photo.size) and same_shape(drawn, (height, width)):
         mask = np.rot90(mask, photo.turns)  # it was drawn on the upright picture
-    if not _fits(mask, photo.size):
+    if not same_shape(mask.shape[::-1], photo.size):
         reason = say("mask_of_another_shape", width=mask.shape[1], height=mask.shape[0], w=width, h=height)
         raise broken_image(photo.name, reason)
     if mask.mean() < _LEAST:
@@ -146,9 +143,3 @@ def _checked_mask(photo: Photo, mask: Bytes) -> Bools:
     size = (max(1, round(mask.shape[1] * by)), max(1, round(mask.shape[0] * by)))
     small: Bools = cv2.resize(255 * mask, size, interpolation=cv2.INTER_AREA) > 127
     return small
-
-
-def _fits(mask: Bytes, size: tuple[int, int]) -> bool:
-    """Return whether a mask has the aspect ratio of a picture of `size`."""
-    height, width = mask.shape
-    return bool(abs(width * size[1] - size[0] * height) <= _SAME_SHAPE * size[0] * height)

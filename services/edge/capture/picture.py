@@ -235,13 +235,18 @@ class PhotoPixels:
         return max((by for by in _REDUCTIONS if by <= shrink and not any(side % by for side in self.size)), default=1)
 
 
-def alpha_channel(path: Path, file: str) -> Bytes | None:
-    """Decode the alpha channel of a PNG, WebP or TIFF: (h,w) uint8 as stored, or None. Raises IMAGE_UNREADABLE."""
+def pixels_as_stored(path: Path, file: str) -> Any:
+    """Decode a PNG, JPEG, WebP or TIFF with the channels and depth that it has; None if OpenCV cannot."""
     import cv2
 
     flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
     with _translate_image_errors(file):
-        pixels = cv2.imdecode(np.frombuffer(read_bytes(path, file), np.uint8), flags)
+        return cv2.imdecode(np.frombuffer(read_bytes(path, file), np.uint8), flags)
+
+
+def alpha_channel(path: Path, file: str) -> Bytes | None:
+    """Decode the alpha channel of a PNG, WebP or TIFF: (h,w) uint8 as stored, or None. Raises IMAGE_UNREADABLE."""
+    pixels = pixels_as_stored(path, file)
     if pixels is None or pixels.ndim < 3 or pixels.shape[2] != 4:
         return None
     return np.asarray(pixels[..., 3] // (257 if pixels.dtype == np.uint16 else 1), np.uint8)

@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder
 from capture2vr.edge.capture.frame_records import MAX_BAD_SHARE, checked_intrinsics, first_names
+from capture2vr.edge.capture.images import same_shape
 from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo, PhotoVerdict, ScaleConfidence
 from capture2vr.edge.capture.photos import evenly_spaced, left_out_warning, pictures, unreadable_verdict
 from capture2vr.edge.capture.poses import Axes, checked_pose
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
-
-_SAME_SHAPE = 0.02  # relative tolerance of the aspect ratio: scaled copies have rounded sides
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ def with_camera(photo: Photo, given: GivenCamera) -> Photo:
     """
     width, height = photo.size
     camera = given.intrinsics
-    if abs(camera.width * height - width * camera.height) > _SAME_SHAPE * camera.width * height:
+    if not same_shape(photo.size, (camera.width, camera.height)):
         what = say("x_but_intrinsics_x_aspect", width=width, height=height, w=camera.width, h=camera.height)
         hint = (say("send_photos_from_poses_computed"),)
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=photo.name, hints=hint)

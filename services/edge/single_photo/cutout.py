@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.capture.masks import OPAQUE, mask_or_alpha
 from capture2vr.edge.capture.nouns import Photo
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.single_photo.boxed import segment_in_box
@@ -24,7 +25,6 @@ from capture2vr.sentences.sentence import say
 
 LONGEST = 320
 """Longest side in pixels of the picture that is segmented: GrabCut takes 0.2 s, and the network sees only 64."""
-_OPAQUE = 128  # alpha from which on a pixel belongs to the thing
 _AROUND = 0.15  # of a rectangle's sides: how much is seen around it, to tell the background. 0.35 and 0.7 are worse
 _ALL = 0.98  # share of the photo above which a rectangle leaves nothing around it that could tell the background
 _LEAST_SIDE = 8  # pixels of what is looked at
@@ -77,8 +77,8 @@ def cut_out(photo: Photo, box: PhotoBox | None = None) -> CutOut:
 
     Raises CaptureError CAPTURE_NO_OBJECT where there is no thing, or what there is is cut off on every side.
     """
-    alpha = _alpha(photo)
-    if alpha is not None and 0 < (alpha >= _OPAQUE).mean() < 1:
+    alpha = mask_or_alpha(photo)
+    if alpha is not None and 0 < (alpha >= OPAQUE).mean() < 1:
         return _cut_by_alpha(photo, alpha, box)
     if box is None or box.width * box.height > _ALL:
         area = box or WHOLE
@@ -86,13 +86,6 @@ def cut_out(photo: Photo, box: PhotoBox | None = None) -> CutOut:
     area = box.grown(_AROUND)
     rgb = _load_area(photo, area)
     return CutOut(rgb, segment_in_box(rgb, *_pixels(box, area, rgb.shape), photo.name), area)
-
-
-def _alpha(photo: Photo) -> Bytes | None:
-    """Return the photo's mask as an alpha channel, or its own alpha channel; None without either."""
-    if photo.load_mask is not None:
-        return photo.load_mask().astype(np.uint8) * np.uint8(255)
-    return photo.load_alpha() if photo.load_alpha is not None else None
 
 
 def rotate_clockwise(pixels: Bytes, turns: int) -> Bytes:
@@ -134,7 +127,7 @@ def _cut_by_alpha(photo: Photo, alpha: Bytes, box: PhotoBox | None) -> CutOut:
     stored = photo.load(LONGEST)
     height, width = stored.shape[:2]
     small = np.asarray(cv2.resize(alpha, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    mask = rotate_clockwise(small, photo.turns) >= _OPAQUE
+    mask = rotate_clockwise(small, photo.turns) >= OPAQUE
     if box:
         rows, columns = _pixels(box, WHOLE, mask.shape)
         chosen = np.zeros_like(mask)

@@ -18,8 +18,6 @@ from tests.support.photos.walkaround import Walkaround, render_walkaround
 
 pytestmark = pytest.mark.slow
 
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes <-> OpenGL camera axes
-
 
 def thing_seen(walk: Walkaround, pose: np.ndarray) -> np.ndarray:
     """(H,W) bool: whether a photo's pixel shows the shell."""
@@ -36,7 +34,7 @@ def test_what_masks_hide_has_no_depth_and_what_they_show_has_it_as_before(tmp_pa
     for photo, pose in zip(walk.photos, walk.camera_to_world, strict=True):
         captures.save_png(tmp_path / "masks" / f"{photo.name}.png", np.uint8(255 * thing_seen(walk, pose)))
     frames = [
-        {"file_path": f"/home/ada/shell/images/{photo.stem}.png", "transform_matrix": (pose @ FLIP).tolist()}
+        {"file_path": f"/home/ada/shell/images/{photo.stem}.png", "transform_matrix": (pose @ captures.FLIP).tolist()}
         for photo, pose in zip(walk.photos, walk.camera_to_world, strict=True)
     ]
     size = {"w": camera.width, "h": camera.height}
@@ -48,11 +46,7 @@ def test_what_masks_hide_has_no_depth_and_what_they_show_has_it_as_before(tmp_pa
     covered = []
     for frame in to_depth(capture).frames:
         depth = frame.load_depth_m()
-        rows, columns = np.nonzero(depth)
-        z = depth[rows, columns]
-        at = frame.intrinsics
-        local = np.stack([(columns - at.cx) / at.fx * z, (rows - at.cy) / at.fy * z, z])
-        away, _ = cKDTree(truth).query((frame.camera_to_world[:3, :3] @ local).T + frame.camera_to_world[:3, 3])
+        away, _ = cKDTree(truth).query(captures.back_project(frame))
         assert np.quantile(away, 0.95) < 0.01
-        covered.append(len(z) / thing_seen(walk, frame.camera_to_world).sum())
+        covered.append((depth > 0).sum() / thing_seen(walk, frame.camera_to_world).sum())
     assert np.median(covered) > 0.6
