@@ -75,6 +75,7 @@ class AssetMaker:
         mesh_unit, pieces = drop_false_pieces(mesh_unit, subject.colours, subject.unit, specks)
         mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
         filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
+        filled = filled.with_inferred(subject.xyz_unit, subject.points.measured)
         certificate = certify(distance, filled.mesh, subject.evidence, pieces)
         return MeasuredSurface(filled, resolution, certificate)
 

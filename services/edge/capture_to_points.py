@@ -13,6 +13,7 @@ from pydantic import Field
 
 from capture2vr.edge.arrays import Tick, no_tick, part_of, pick
 from capture2vr.edge.capture.nouns import Capture, CaptureKind, Frame, PhotoVerdict
+from capture2vr.edge.closing.close_object import close_object
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.coverage import unseen_sides
 from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
@@ -40,7 +41,7 @@ from capture2vr.edge.points.scale import scale_to_longest
 from capture2vr.edge.points.upright import find_up
 from capture2vr.edge.progress import Bar, Clock, Progress
 from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
-from capture2vr.order.option_table import Cut
+from capture2vr.order.option_table import Cut, Fill
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.sentences.sentence import say
 
@@ -55,6 +56,9 @@ PREVIEW_SHARE = 0.15
 
 _ALL_WANTED = CutReport("scene", say("everything_asked"))
 _POSES = 0.5  # share of the time to the points that computing poses takes, for frames without any
+
+_CLOSING = 0.97
+"""Share of the time to an object's points at which what it lacks is closed."""
 
 _PHOTO_PREVIEW_SHARE = 0.6  # the same for photos, whose depth images take most of the time
 
@@ -152,7 +156,8 @@ def _points(capture: Capture, options: JobOptions, hold_out: int | None, bar: Ba
 
         return guess_points(capture, box=options.box, tick=bar.tick("POINT_CLOUD"))
     cut, drawn = options.cut or "auto", options.edits.photos
-    return to_points(capture, cut=cut, hold_out=hold_out, drawn=drawn, tick=bar.tick("POINT_CLOUD"))
+    fill, tick = options.fill or "unseen", bar.tick("POINT_CLOUD")
+    return to_points(capture, cut=cut, fill=fill, hold_out=hold_out, drawn=drawn, tick=tick)
 
 
 def to_points(
@@ -160,6 +165,7 @@ def to_points(
     *,
     voxel: float | None = None,
     cut: Cut = "auto",
+    fill: Fill = "none",
     hold_out: int | None = None,
     drawn: frozenset[str] = frozenset(),
     tick: Tick = no_tick,
@@ -169,6 +175,7 @@ def to_points(
     voxel    distance between points in capture units; None: from the depth pixels' size, and a cloud is left as it is
     cut      what to keep: "object" the one in the middle, without what it stands on and what stands around it; "scene"
              everything; "auto" the object where photos were taken around one, and it is found
+    fill     what of an object that is cut out is closed where no picture gave depth of it
     hold_out number of pictures that points and textures are not made from; None: a few of a capture that has many
     drawn    names of the pictures whose frames the points keep, for the lines that a person drew in them
 
@@ -190,7 +197,7 @@ def to_points(
         drawn_in=tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn),
         warnings=(*points.warnings, *faults.warnings(len(fused.frames))),
     )
-    points = _cut(points, replace(capture, frames=fused.frames), fused, cut, tick)
+    points = _cut(points, replace(capture, frames=fused.frames), fused, cut, fill, tick)
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))
     return points
@@ -209,7 +216,7 @@ def _cloud_points(capture: Capture, voxel: float | None, cut: Cut, tick: Tick) -
     share = _share_to_cut(cut)
     points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
     if cut == "object":
-        return isolate_object(replace(points, whole=None), tick=tick)
+        return isolate_object(replace(points, whole=None), tick=tick).points
     return replace(points, cut=_ALL_WANTED if cut == "scene" else CutReport("scene", say("cloud_taken")))
 
 
@@ -229,9 +236,9 @@ def _share_to_cut(cut: Cut) -> float:
     return 1.0 if cut == "scene" else 0.9
 
 
-def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, tick: Tick) -> Points:
-    """Keep the object's points alone, with its unseen sides; all points where the capture shows a scene, and with a
-    warning where no object is found.
+def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, fill: Fill, tick: Tick) -> Points:
+    """Keep the object's points alone, closed, with its unseen sides; all points where the capture shows a scene, and
+    with a warning where no object is found.
 
     Raises CAPTURE_NOTHING_LEFT instead where an object is asked for.
     """
@@ -240,7 +247,9 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, tick: T
     if cut == "auto" and (scene := sees_a_scene(capture.frames)):
         return replace(points, cut=CutReport("scene", scene))
     try:
-        isolated = isolate_object(points, aim=fused.aim, cameras=fused.cameras, turntable=capture.turntable, tick=tick)
+        before = part_of(tick, 0, _CLOSING)
+        cameras, turntable = fused.cameras, capture.turntable
+        isolated = isolate_object(points, aim=fused.aim, cameras=cameras, turntable=turntable, tick=before)
     except CaptureError as error:
         if cut == "object":
             raise
@@ -248,7 +257,8 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, tick: T
         return replace(
             points, cut=kept, warnings=(*points.warnings, say("surroundings_not_removed", why=error.message))
         )
-    return replace(isolated, unseen=unseen_sides(isolated, capture.frames))
+    thing = replace(isolated.points, unseen=unseen_sides(isolated.points, capture.frames))
+    return close_object(thing, isolated.support, fill, part_of(tick, _CLOSING, 1))
 
 
 def _second_part(tick: Tick, fraction: float) -> None:

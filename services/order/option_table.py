@@ -10,8 +10,8 @@ Cut = Literal["auto", "object", "scene"]
 it stands on and what stands around it; scene: everything that was seen."""
 
 Fill = Literal["none", "unseen", "all"]
-"""Which holes are filled: none; those in a surface that goes on around them, unless views saw through; all that no
-view saw through, also the ends of tubes and undersides."""
+"""What is closed: nothing; the underside of what stands on something, and holes in a surface that goes on around them,
+unless views saw through; all that no view saw through, also the ends of tubes and sides that nobody saw."""
 
 VisibilityName = Literal["private", "unlisted", "public"]
 """Who may read the asset besides its tenant; storage/catalogue/visibility.py says more."""
@@ -58,8 +58,8 @@ OPTION_TABLE = {
     ),
     "fill": OptionRow(
         "--fill",
-        "Holes of the mesh to fill: none; unseen: those in its surface that no photo sees through; all: also "
-        "open ends and undersides.",
+        "What to close: none; unseen: undersides, and holes in the surface that no photo sees through; all: also "
+        "open ends and sides that no photo shows.",
         "unseen for photos and depth images, none for point clouds",
         get_args(Fill),
     ),

@@ -27,7 +27,6 @@ from scipy.spatial import cKDTree
 from capture2vr.cli.demonstration.demo_garment import garment_scene
 from capture2vr.cli.demonstration.demo_phone import simulate_capture
 from capture2vr.edge.arrays import Bools, Floats
-from capture2vr.edge.asset.photo_check import posed_picture
 from capture2vr.edge.capture.nouns import Capture, Frame
 from capture2vr.edge.fusion.texture_views import hold_out_frames, texture_view
 from capture2vr.edge.mesh.align_to_reference import align_to_surface
@@ -39,6 +38,7 @@ from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.preset import load_preset
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.render.photo_comparison import LIKENESS_PX, check_surface, mean_figures, relative_sharpness
+from capture2vr.edge.render.place_views import posed_picture
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import RaycastingScene, pinhole
 from capture2vr.edge.render.sample_image import bilinear, shrink_to

@@ -25,7 +25,6 @@ import trimesh
 
 from capture2vr.cli.demonstration.demo_phone import simulate_capture
 from capture2vr.edge.arrays import Bools, Floats
-from capture2vr.edge.asset.photo_check import posed_picture
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.convert.read_glb import read_glb
 from capture2vr.edge.fusion.texture_views import hold_out_frames, texture_view
@@ -36,6 +35,7 @@ from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.preset import load_preset
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.render.photo_comparison import LikenessCheck, check_likeness, check_surface, compare_colours
+from capture2vr.edge.render.place_views import posed_picture
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
 from capture2vr.edge.splats.spz import from_spz, to_spz

@@ -8,7 +8,6 @@ from functools import partial
 
 from capture2vr.edge.arrays import Floats, Tick, part_of
 from capture2vr.edge.asset.manifest import AssetSubject
-from capture2vr.edge.asset.photo_check import posed_picture
 from capture2vr.edge.asset.target import Target
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.export.ktx2 import EncodeKtx2
@@ -17,6 +16,7 @@ from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.mesh.simplify import lods
 from capture2vr.edge.parallel import in_threads, shared_ticks
 from capture2vr.edge.render.contact_sheet import render_sheet
+from capture2vr.edge.render.place_views import posed_picture
 from capture2vr.edge.render.thumbnail import thumbnail, turning_preview
 from capture2vr.edge.texture.bake_normals import FullShape, bake_normals
 from capture2vr.edge.texture.bake_photos import PhotoProjection

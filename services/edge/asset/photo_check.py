@@ -6,15 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Floats
+from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.mesh.clean import SPECK
 from capture2vr.edge.mesh.fill_gaps import FilledMesh, fill_gaps
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.mesh.pieces import Piece, SplitMesh, list_pieces
+from capture2vr.edge.mesh.spacing import point_spacing
 from capture2vr.edge.mesh.topology import compact
 from capture2vr.edge.mesh.trim_rims import trim_rims
-from capture2vr.edge.points.nouns import Points, TextureView, UnitFrame
+from capture2vr.edge.points.nouns import Points, UnitFrame
 from capture2vr.edge.render.free_space import ColouredSurface, ask_views
 from capture2vr.edge.render.marked_picture import marked_jpeg
 from capture2vr.edge.render.photo_comparison import (
@@ -26,13 +28,15 @@ from capture2vr.edge.render.photo_comparison import (
     mean_figures,
 )
 from capture2vr.edge.render.piece_support import piece_support
-from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.place_views import in_unit_frame, posed_picture
 from capture2vr.edge.render.silhouette import outside_outlines
 from capture2vr.order.option_table import Fill
 from capture2vr.sentences.sentence import say
 
 _MOST_OUTLINES = 20
 """Photos that are asked for outlines, evenly chosen: each takes a tenth of a second."""
+_CLOSED = 10.0
+"""Spacings from inferred points within which a surface was closed, and has no rims."""
 _MANY_HOLES = 0.03
 """Share of the thing's silhouette in holes from which on a person notices them at once."""
 _MUCH_INSIDE = 0.03
@@ -80,7 +84,7 @@ class PhotoCheck:
 
 def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> PhotoCheck:
     """Compare a mesh in the unit frame with the held-out photos of its points."""
-    held_out, seen_by = _in_unit_frame(points.held_out_views, unit), _in_unit_frame(points.texture_views, unit)
+    held_out, seen_by = in_unit_frame(points.held_out_views, unit), in_unit_frame(points.texture_views, unit)
     return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)))
 
 
@@ -91,7 +95,19 @@ def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> M
     """
     untracked = [view for view in points.texture_views if not view.tracked]
     step = max(1, -(-len(untracked) // _MOST_OUTLINES))
-    return trim_rims(mesh_unit, outside_outlines(mesh_unit, _in_unit_frame(untracked[::step], unit)))
+    outside = outside_outlines(mesh_unit, in_unit_frame(untracked[::step], unit))
+    # Outlines were asked when points were inferred: a surface that these close has no rims.
+    return trim_rims(mesh_unit, outside & ~_near_inferred(mesh_unit, points, unit))
+
+
+def _near_inferred(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> Bools:
+    """Find the vertices (V,) of a mesh in the unit frame that are near inferred points, which close a surface."""
+    if points.inferred is None:
+        return np.zeros(len(mesh_unit.vertices), bool)
+    reach = _CLOSED * float(np.median(point_spacing(unit.to_unit(points.xyz))))
+    inferred = cKDTree(unit.to_unit(points.xyz[points.inferred]))
+    near: Bools = np.isfinite(inferred.query(mesh_unit.vertices, distance_upper_bound=reach, workers=-1)[0])
+    return near
 
 
 def drop_false_pieces(
@@ -110,7 +126,7 @@ def drop_false_pieces(
     reasons[largest] = "the largest"
     kept = np.ones(len(split.areas), bool)
     views = (*points.texture_views, *points.held_out_views) if len(small) and points.texture_views else ()
-    support = piece_support(split, [largest, *small.tolist()], _in_unit_frame(views, unit))
+    support = piece_support(split, [largest, *small.tolist()], in_unit_frame(views, unit))
     usual = float(np.nan_to_num(support.unlike[0]))
     for row, number in enumerate(small.tolist(), start=1):
         if support.views[0] < _FEWEST_VIEWS:  # of clouds, and of photos without depth
@@ -141,16 +157,9 @@ def fill_gaps_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame, fill
     """Fill holes of a mesh in the unit frame that the photos of its points do not see through."""
     if fill == "none":
         return FilledMesh.unfilled(mesh_unit)
-    pictures = _in_unit_frame(points.texture_views, unit)
+    pictures = in_unit_frame(points.texture_views, unit)
     surface = None if points.rgb is None else ColouredSurface(unit.to_unit(points.xyz), points.rgb)
-    return fill_gaps(mesh_unit, fill, ask_views(pictures, surface))
-
-
-def _in_unit_frame(views: Sequence[TextureView], unit: UnitFrame) -> list[PosedPicture]:
-    """Place photos with their cameras in the unit frame."""
-    to_unit = np.eye(4)
-    to_unit[:3] = np.column_stack([np.eye(3), -unit.centre]) / unit.size
-    return [posed_picture(view, to_unit) for view in views]
+    return fill_gaps(mesh_unit, fill, ask_views(pictures, surface), closed=points.closed)
 
 
 def check_textures_with_photos(
@@ -176,17 +185,3 @@ def marked_pictures(check: PhotoCheck, likeness: Sequence[LikenessCheck]) -> dic
         f"photo-{number}.jpg": marked_jpeg(each, pair)
         for number, (each, pair) in enumerate(zip(check.surface, pairs, strict=True), 1)
     }
-
-
-def posed_picture(view: TextureView, to_frame: Floats) -> PosedPicture:
-    """Place a photo with its camera in another frame; to_frame (4,4): from the capture frame."""
-    camera = view.intrinsics
-    return PosedPicture(
-        to_camera=np.linalg.inv(to_frame @ view.camera_to_world),
-        focal=np.array([camera.fx / camera.width, camera.fy / camera.height]),
-        middle=np.array([(camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height]),
-        load_rgb=view.load_rgb,
-        load_depth=view.load_depth_m,
-        name=view.name,
-        tracked=view.tracked,
-    )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from capture2vr.edge.arrays import Floats, Tick
 from capture2vr.edge.asset.manifest import AssetSubject
-from capture2vr.edge.asset.photo_check import posed_picture
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from capture2vr.edge.render.place_views import posed_picture
 from capture2vr.edge.splats.spz import to_spz
 from capture2vr.edge.splats.surface_splats import cover_with_splats
 from capture2vr.order.download_formats import SPLATS

@@ -42,7 +42,7 @@ from capture2vr.process.archives import ArchiveError, ArchiveLimits, unpack
 from capture2vr.process.atomic_write import atomic_write
 from capture2vr.sentences.documents import restored, with_codes, with_sentences
 
-VERSION = 7
+VERSION = 8
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
@@ -51,14 +51,14 @@ MOST_POINTS = 4_000_000
 MOST_CAMERAS = 2_000
 """Most cameras of photos that are sent along: for downloads alone, so those of further photos are left out."""
 
-_HEAD, _XYZ, _RGB, _CONFIDENCE = "points.json", "xyz.npy", "rgb.npy", "confidence.npy"
+_HEAD, _XYZ, _RGB, _CONFIDENCE, _INFERRED = "points.json", "xyz.npy", "rgb.npy", "confidence.npy", "inferred.npy"
 _HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB, 2,000 cameras 1 MB
-_POINT_BYTES = 24 + 3 + 4  # xyz, rgb, confidence
+_POINT_BYTES = 24 + 3 + 4 + 1  # xyz, rgb, confidence, inferred
 _LIMITS = ArchiveLimits(
-    entries=5 + 2 * MOST_VIEWS,
+    entries=6 + 2 * MOST_VIEWS,
     total_bytes=_HEAD_BYTES
     + MOST_POINTS * _POINT_BYTES
-    + 3 * 1024
+    + 4 * 1024
     + MOST_VIEWS * VIEW_BYTES
     + MOST_WHOLE * RECORD.itemsize,
 )
@@ -76,6 +76,8 @@ class _Head:
     version: int
     points: Annotated[int, Field(ge=MIN_POINTS, le=MOST_POINTS)]
     coloured: bool
+    completed: bool
+    closed: bool
     metres_per_unit: Annotated[float, Field(gt=0)]
     scale_confidence: ScaleConfidence
     up: _Vector | None
@@ -100,7 +102,8 @@ def write_prepared(prepared: PreparedPoints, archive: Path) -> None:
     """Write the zip atomically. Raises OSError where it cannot be written, CaptureError for a broken picture."""
     archive.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     points = prepared.points
-    arrays = {_XYZ: points.xyz, _CONFIDENCE: points.confidence} | ({} if points.rgb is None else {_RGB: points.rgb})
+    rows = {_XYZ: points.xyz, _CONFIDENCE: points.confidence, _RGB: points.rgb, _INFERRED: points.inferred}
+    arrays = {name: array for name, array in rows.items() if array is not None}
     views = encode_views(points)
     with atomic_write(archive) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as packed:
         for name, array in arrays.items():
@@ -129,6 +132,7 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
 def _files_of(head: _Head) -> set[str]:
     """Return the names of the files that an archive with this head has."""
     optional = ({_RGB} if head.coloured else set()) | ({WHOLE} if head.whole else set())
+    optional |= {_INFERRED} if head.completed else set()
     return {_HEAD, _XYZ, _CONFIDENCE} | view_files(len(head.views)) | optional
 
 
@@ -136,8 +140,11 @@ def _read_points(scratch: Path, head: _Head) -> Points:
     """Read and check the arrays and pictures of an unpacked archive. Raises EdgeError POINTS_INVALID."""
     xyz, confidence = (_read_array(scratch / name, head.points) for name in (_XYZ, _CONFIDENCE))
     rgb = _read_array(scratch / _RGB, head.points) if head.coloured else None
+    inferred = _read_array(scratch / _INFERRED, head.points) if head.completed else None
     _require_cloud(xyz)
     _require_confidences(confidence)
+    if inferred is not None and (~inferred).sum() < MIN_POINTS:
+        raise invalid("leaves hardly any measured points", _INFERRED)
     views = read_views(scratch, head.views, _HEAD)
     return Points(
         texture_views=tuple(view for view, each in zip(views, head.views, strict=True) if not each.held_out),
@@ -145,6 +152,8 @@ def _read_points(scratch: Path, head: _Head) -> Points:
         xyz=xyz,
         rgb=rgb,
         confidence=confidence,
+        inferred=inferred,
+        closed=head.closed,
         metres_per_unit=head.metres_per_unit,
         scale_confidence=head.scale_confidence,
         up=None if head.up is None else np.array(head.up, np.float64),
@@ -165,6 +174,8 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
         version=VERSION,
         points=len(points),
         coloured=points.rgb is not None,
+        completed=points.inferred is not None,
+        closed=points.closed,
         metres_per_unit=float(points.metres_per_unit),
         scale_confidence=points.scale_confidence,
         up=None if points.up is None else _vector(points.up),
@@ -229,7 +240,12 @@ def _require_files(folder: Path, wanted: set[str]) -> None:
 
 def _array_type(name: str, count: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
     """The dtype and shape that an array of `count` points must have."""
-    kinds = {_XYZ: ("<f8", (count, 3)), _RGB: ("|u1", (count, 3)), _CONFIDENCE: ("<f4", (count,))}
+    kinds = {
+        _XYZ: ("<f8", (count, 3)),
+        _RGB: ("|u1", (count, 3)),
+        _CONFIDENCE: ("<f4", (count,)),
+        _INFERRED: ("|b1", (count,)),
+    }
     kind, shape = kinds[name]
     return np.dtype(kind), shape
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick
 from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of
@@ -52,7 +53,7 @@ Ask = Callable[[Floats, Floats], Ints]
 
 @dataclass(frozen=True, slots=True)
 class FilledMesh:
-    """A mesh with its holes filled: filled (F,) the faces that were added, which are last."""
+    """A mesh with its holes filled: filled (F,) the faces that nobody measured."""
 
     mesh: Mesh
     filled: Bools
@@ -61,6 +62,16 @@ class FilledMesh:
     def unfilled(cls, mesh: Mesh) -> FilledMesh:
         """Wrap a mesh without filling any hole."""
         return cls(mesh, np.zeros(len(mesh.faces), bool))
+
+    def with_inferred(self, xyz: Floats, measured: Bools) -> FilledMesh:
+        """Return the same mesh with the faces marked that were made from inferred points.
+
+        xyz (N,3) the points in the mesh's frame; measured (N,): mask of those that were measured
+        """
+        if measured.all():
+            return self
+        nearest = cKDTree(xyz).query(self.mesh.vertices[self.mesh.faces].mean(axis=1), workers=-1)[1]
+        return FilledMesh(self.mesh, self.filled | ~measured[nearest])
 
     @property
     def filled_vertices(self) -> Bools:
@@ -76,8 +87,10 @@ class FilledMesh:
         return float(areas[self.filled].sum() / max(areas.sum(), 1e-300))
 
 
-def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, tick: Tick = no_tick) -> FilledMesh:
+def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, *, closed: bool = False, tick: Tick = no_tick) -> FilledMesh:
     """Fill the holes of a mesh without colours that are missing surface.
+
+    closed  whether the surface is known to have no true openings
 
     The mesh must be manifold, its border vertices with two border edges each, its faces oriented alike around a hole.
     """
@@ -88,7 +101,7 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, tick: Tick = no_tick) -> FilledM
     index = _EdgeIndex(border, len(mesh.vertices))
     normals = _unit_normals(mesh.vertices, mesh.faces[edges.halves(1)[:, 0] // 3])
     chords = edges_between(mesh.faces, border)
-    least = _LIES_BACK if fill == "all" else _CONTINUES
+    least = _LIES_BACK if closed or fill == "all" else _CONTINUES
     patches = []
     loops = _loops_within_budget(border_loops(mesh.faces, border))
     for number, loop in enumerate(loops):

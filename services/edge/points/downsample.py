@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.points.nouns import Points
@@ -64,4 +65,6 @@ def downsample_points(points: Points, most: int) -> Points:
     xyz, rgb = voxel_downsample_to(points.xyz, points.rgb, most)
     confidence = np.full(len(xyz), points.confidence.mean(), np.float32)
     warning = say("points_downsampled_evenly_to_preset", count=len(points), left=len(xyz))
-    return replace(points, xyz=xyz, rgb=rgb, confidence=confidence, warnings=(*points.warnings, warning))
+    inferred = None if points.inferred is None else points.inferred[cKDTree(points.xyz).query(xyz, workers=-1)[1]]
+    warnings = (*points.warnings, warning)
+    return replace(points, xyz=xyz, rgb=rgb, confidence=confidence, inferred=inferred, warnings=warnings)

@@ -68,6 +68,14 @@ class _Cut:
     warning: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class IsolatedObject:
+    """An object's points, and the plane that it stood on, in their frame; None where none was found."""
+
+    points: Points
+    support: Plane | None
+
+
 def isolate_object(
     points: Points,
     *,
@@ -75,7 +83,7 @@ def isolate_object(
     cameras: Floats | None = None,
     turntable: bool = False,
     tick: Tick = no_tick,
-) -> Points:
+) -> IsolatedObject:
     """Keep the object in the middle: remove one supporting plane, and all clusters that do not touch the chosen one.
 
     aim (3,): the point that the cameras looked at, capture frame; None: the middle of the points. cameras (M,3)
@@ -111,7 +119,7 @@ def isolate_object(
         up, up_source = level_with(plane.normal, up, up_source)
     doubt, share = _doubt(xyz, cut, near)
     asked = in_row(" ", (doubt, _ASK)) if doubt else ""
-    return replace(
+    thing = replace(
         points.subset(cut.thing),
         warnings=(*points.warnings, *filter(None, (cut.warning, asked))),
         up=up,
@@ -119,6 +127,7 @@ def isolate_object(
         cut=CutReport("object", say("cut_out_surroundings"), doubt, round(share, 3)),
         uncut=_sample(points),
     )
+    return IsolatedObject(thing, None if cut.plane is None else cut.plane.moved(origin))
 
 
 def _cut_off(plane: Plane, xyz: Floats, near: Bools, middle: Floats | None) -> _Cut:

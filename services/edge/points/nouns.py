@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, pick
@@ -86,7 +87,9 @@ class Points:
     cameras: of all photos that could be placed, those that are held out too;
     uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine;
     edits: the recipe that was applied;
-    drawn_in: posed frames of the pictures that the recipe's lassos are in, until it is applied.
+    drawn_in: posed frames of the pictures that the recipe's lassos are in, until it is applied;
+    inferred (N,): mask of the points that nobody measured: they close what photos gave no depth of; None without any;
+    closed: whether the object has no true openings, as far as photos and inferred points tell.
     """
 
     xyz: Floats
@@ -107,13 +110,26 @@ class Points:
     up_source: UpSource | None = None
     edits: Edits = NO_EDITS
     drawn_in: tuple[Frame, ...] = ()
+    inferred: Bools | None = None
+    closed: bool = False
 
     def __len__(self) -> int:
         return len(self.xyz)
 
     def subset(self, which: Bools | Ints) -> Points:
         """Return the points of a mask or of indices; the fields about the whole cloud stay as they are."""
-        return replace(self, xyz=self.xyz[which], rgb=pick(self.rgb, which), confidence=self.confidence[which])
+        return replace(
+            self,
+            xyz=self.xyz[which],
+            rgb=pick(self.rgb, which),
+            confidence=self.confidence[which],
+            inferred=pick(self.inferred, which),
+        )
+
+    @property
+    def measured(self) -> Bools:
+        """Mask (N,) of the points that are not inferred."""
+        return np.ones(len(self), bool) if self.inferred is None else ~self.inferred
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,14 @@ class Plane:
         heights: Floats = xyz @ self.normal - self.offset
         return heights
 
+    def moved(self, by: Floats) -> Plane:
+        """Return the plane moved by (3,)."""
+        return Plane(self.normal, self.offset + float(self.normal @ by), self.spread, self.share)
+
+    def scaled(self, by: float) -> Plane:
+        """Return the plane in a frame whose units are `1 / by` of these."""
+        return Plane(self.normal, self.offset * by, self.spread * by, self.share)
+
     def flipped(self) -> Plane:
         return Plane(-self.normal, -self.offset, self.spread, self.share)
 

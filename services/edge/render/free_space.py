@@ -50,18 +50,19 @@ class ColouredSurface:
 
 def ask_views(pictures: Sequence[PosedPicture], surface: ColouredSurface | None = None) -> Ask:
     """Return a function from places (N,3) and unit normals (N,3), in the pictures' frame, to
-    the number of views (N,) that see past each, into free space.
+    the number of views (N,) that see past each, into free space; 0 where as many see surface there.
 
     surface: known surface, to tell background by its colours; None: only depth is asked.
     """
 
     def ask(places: Floats, normals: Floats) -> Ints:
-        past: Ints = np.zeros(len(places), np.int64)
+        past, on = (np.zeros(len(places), np.int64) for _ in range(2))
         seen = []
         for picture in pictures:
-            index, behind, looking = _look(picture, places, normals)
+            index, behind, there, unknown = _look(picture, places, normals)
             past[index] += behind
-            seen.append(index[looking])
+            on[index] += there
+            seen.append(index[there | unknown])
         if surface is not None:
             most = sorted(range(len(pictures)), key=lambda number: -len(seen[number]))[:_MOST_PICTURES]
             near = cKDTree(surface.xyz).query(places, k=range(1, 1 + min(_NEIGHBOURS, len(surface.xyz))), workers=-1)[1]
@@ -69,21 +70,23 @@ def ask_views(pictures: Sequence[PosedPicture], surface: ColouredSurface | None 
                 index = seen[number]
                 if len(index):
                     past[index] += _shows_background(pictures[number], places[index], near[index], surface)
-        return past
+        return np.where(past > on, past, 0)
 
     return ask
 
 
-def _look(picture: PosedPicture, places: Floats, normals: Floats) -> tuple[Ints, Bools, Bools]:
-    """Return the places (M,) in a picture, whether it sees past each, and whether it looks at it and knows nothing."""
+def _look(picture: PosedPicture, places: Floats, normals: Floats) -> tuple[Ints, Bools, Bools, Bools]:
+    """Return the places (M,) in a picture, whether it sees past each, whether it sees surface there, and whether it
+    looks at it and knows nothing."""
     at, z = picture.project(places)
     index = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
     found, z = pixels_at(picture.depth(), at[index]), z[index]
     towards = picture.eye - places[index]
     # The sign of a normal says nothing on an open surface.
     cosine = np.abs(np.einsum("nx,nx->n", towards, normals[index])) / np.linalg.norm(towards, axis=1)
-    behind, before = found > (1 + _BEYOND) * z, (found > 0) & (found < (1 - _BEYOND) * z)
-    return index, behind & (cosine > _FACING), ~behind & ~before & (cosine > _FACING)
+    facing, unknown = cosine > _FACING, found == 0
+    there = np.abs(found - z) <= _BEYOND * z
+    return index, (found > (1 + _BEYOND) * z) & facing, there & facing, unknown & facing
 
 
 def _shows_background(picture: PosedPicture, places: Floats, near: Ints, surface: ColouredSurface) -> Bools:

@@ -23,7 +23,6 @@ from scipy.spatial import cKDTree
 
 import capture2vr
 from capture2vr.edge.arrays import Floats, Tick, part_of
-from capture2vr.edge.asset.photo_check import posed_picture
 from capture2vr.edge.asset.target import Target
 from capture2vr.edge.capture.nouns import Cloud, CloudParts
 from capture2vr.edge.engine.nouns import Engine
@@ -36,6 +35,7 @@ from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.preset import Preset
 from capture2vr.edge.preset_choice import ROOM_M
 from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.edge.render.place_views import posed_picture
 from capture2vr.edge.tiles.folder import SceneFolder
 from capture2vr.edge.tiles.grid import HALO, SIDE, Tile, TileGrid, name_of, neighbours, tile_of
 from capture2vr.edge.tiles.level_files import LevelFiles

@@ -17,7 +17,6 @@ from capture2vr.edge.asset.photo_check import (
     check_textures_with_photos,
     figures_with_textures,
     marked_pictures,
-    posed_picture,
 )
 from capture2vr.edge.capture.nouns import Capture, Intrinsics
 from capture2vr.edge.mesh.nouns import Mesh
@@ -25,6 +24,7 @@ from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.points.nouns import Points, TextureView, UnitFrame
 from capture2vr.edge.preset import Preset
 from capture2vr.edge.render.photo_comparison import PhotoFigures, SurfaceCheck
+from capture2vr.edge.render.place_views import posed_picture
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle

@@ -73,6 +73,8 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
         cameras=(CAMERA, replace(CAMERA, name="IMG_1.jpg")) if pictured else (),
         texture_views=(view(0), view(1)) if pictured else (),
         held_out_views=(view(2),) if pictured else (),
+        inferred=np.arange(count) >= count - 10,
+        closed=True,
     )
     return PreparedPoints(points, CaptureFacts("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
 
@@ -80,7 +82,7 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
 @st.composite
 def anything(draw: st.DrawFn) -> PreparedPoints:
     """Points with whatever a capture may have or lack."""
-    count = draw(st.integers(100, 110))
+    count = draw(st.integers(110, 120))
     xyz = draw(arrays(np.float64, (count, 3), elements=COORDINATES)).copy()
     xyz[0, 0] = xyz[1, 0] + 1e6  # not all in one place
     points = replace(
@@ -92,7 +94,7 @@ def anything(draw: st.DrawFn) -> PreparedPoints:
         warnings=tuple(draw(st.lists(TEXT, max_size=3))),
     )
     if draw(st.booleans()):
-        points = replace(points, rgb=None, up=None, unseen=(), cut=None, up_source=None)
+        points = replace(points, rgb=None, up=None, unseen=(), cut=None, up_source=None, inferred=None, closed=False)
     source = CaptureFacts(draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40)))
     return PreparedPoints(points, source, draw(st.dictionaries(st.just("POINT_CLOUD"), st.floats(0, 1e6))))
 
@@ -108,6 +110,7 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
                 (ours.rgb, theirs.rgb),
                 (ours.confidence, theirs.confidence),
                 (ours.up, theirs.up),
+                (ours.inferred, theirs.inferred),
             ]
         )
         and (
@@ -118,6 +121,7 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
             ours.cut,
             ours.up_source,
             ours.edits,
+            ours.closed,
         )
         == (
             theirs.metres_per_unit,
@@ -127,6 +131,7 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
             theirs.cut,
             theirs.up_source,
             theirs.edits,
+            theirs.closed,
         )
         and (first.source, dict(first.seconds)) == (second.source, dict(second.seconds))
     )
@@ -161,7 +166,7 @@ def large_scene(count: int = 2_500, *, coloured: bool = True) -> PreparedPoints:
 
     announced = CloudParts(count + 7, read)  # seven were no numbers
     some, sure = xyz[::20], np.ones(count // 20, np.float32)
-    return replace(few, points=replace(few.points, xyz=some, rgb=None, confidence=sure, whole=announced))
+    return replace(few, points=replace(few.points, xyz=some, rgb=None, confidence=sure, whole=announced, inferred=None))
 
 
 @pytest.mark.parametrize("coloured", [True, False])
@@ -254,6 +259,7 @@ ARRAYS: dict[str, tuple[str, bytes]] = {
     "a header that promises more": ("xyz.npy", npy(np.zeros((120, 3))).replace(b"(120, 3)", b"(9**9,3)")),
     "confidence above 1": ("confidence.npy", npy(np.full(120, 1.5, np.float32))),
     "confidence that is no number": ("confidence.npy", npy(np.full(120, np.nan, np.float32))),
+    "no measured point": ("inferred.npy", npy(np.ones(120, bool))),
     "colours as floats": ("rgb.npy", npy(np.zeros((120, 3), np.float32))),
 }
 

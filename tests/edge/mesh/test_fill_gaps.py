@@ -102,8 +102,21 @@ def test_the_border_of_a_sheet_is_no_hole_but_the_hole_in_it_is() -> None:
 
 def test_the_ends_of_a_sleeve_stay_open_unless_all_is_asked_for() -> None:
     assert not fill_gaps(tube(), "unseen", nobody_sees_through).filled.any()
-    made = fill_gaps(tube(), "all", nobody_sees_through)
-    assert len(border_edges(made.mesh.faces)) == 0
+    for made in (
+        fill_gaps(tube(), "all", nobody_sees_through),
+        fill_gaps(tube(), "unseen", nobody_sees_through, closed=True),
+    ):
+        assert len(border_edges(made.mesh.faces)) == 0
+
+
+def test_faces_of_inferred_points_are_marked() -> None:
+    mesh = mesh_of(trimesh.creation.icosphere(3))
+    below = mesh.vertices[:, 2] < -0.5
+    made = FilledMesh.unfilled(mesh).with_inferred(mesh.vertices, ~below)
+    middle = mesh.vertices[mesh.faces].mean(axis=1)[:, 2]
+    assert made.filled[middle < -0.6].all()
+    assert not made.filled[middle > -0.4].any()
+    assert made.share == pytest.approx(0.25, abs=0.05), "of a ball, the part below half its radius"
 
 
 def test_nothing_is_filled_where_that_is_not_wanted_or_nothing_is_missing() -> None:
@@ -149,7 +162,7 @@ def test_the_longest_loops_are_left_out_where_there_are_too_many(monkeypatch: py
 
 def test_progress_only_grows() -> None:
     fractions: list[float] = []
-    fill_gaps(ball_with_hole(20, np.array([0.0, 0, 1])), "unseen", nobody_sees_through, fractions.append)
+    fill_gaps(ball_with_hole(20, np.array([0.0, 0, 1])), "unseen", nobody_sees_through, tick=fractions.append)
     assert all(before <= after for before, after in pairwise(fractions))
     assert fractions
 

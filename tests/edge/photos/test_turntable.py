@@ -302,7 +302,7 @@ def test_a_plate_goes_where_it_is_wider_than_the_thing_and_lids_stay(plate_m: fl
     xyz = np.concatenate([box, np.column_stack([disk, np.zeros(len(disk))])]) + rng.normal(0, 5e-4, (1, 3))
     points = Points(xyz, None, np.ones(len(xyz), np.float32), 1.0, "unknown", np.array([0, 0, 1.0]))
     cameras = np.array([[0.8 * np.cos(a), 0.8 * np.sin(a), 0.6] for a in np.linspace(0, 6, 12)])
-    left = isolate_object(points, aim=np.array([0, 0, 0.1]), cameras=cameras, turntable=True)
+    left = isolate_object(points, aim=np.array([0, 0, 0.1]), cameras=cameras, turntable=True).points
     assert (left.xyz[:, 2] > 0.195).sum() > 2_500  # the lid
     assert ((left.xyz[:, 2] < 0.01).sum() > 1_000) == kept
     assert left.warnings == ()

@@ -259,8 +259,11 @@ def test_real_dress_survives_strays(data_dir: Path) -> None:
 @given(st.integers(200, 3000), st.integers(100, 1000))
 def test_at_most_is_at_most_and_keeps_the_extent(count: int, most: int) -> None:
     xyz = np.random.default_rng(count).random((count, 3)) * [1.0, 2.0, 0.001]
-    points = Points(xyz, None, np.ones(count, np.float32), 1.0, "metric", None)
+    inferred = xyz[:, 1] > 1
+    points = Points(xyz, None, np.ones(count, np.float32), 1.0, "metric", None, inferred=inferred)
     fewer = downsample_points(points, most)
+    assert fewer.inferred is not None
+    assert (fewer.inferred == (fewer.xyz[:, 1] > 1)).mean() > 0.8, "each voxel is what its nearest point is"
     assert len(fewer) <= most
     assert len(fewer.confidence) == len(fewer)
     assert len(fewer) == count if count <= most else len(fewer) >= most / 2

@@ -173,11 +173,14 @@ def test_a_pedestal_stays_with_what_stands_on_it_and_the_floor_and_the_wall_go(u
     cameras = np.column_stack([1.3 * np.cos(turns), 1.3 * np.sin(turns), np.full(20, 0.9)])
     estimated = None if up is None else np.array([np.sin(np.radians(6)), 0, np.cos(np.radians(6))])
     points = Points(cloud, None, np.ones(len(cloud), np.float32), 1.0, "metric", estimated)
-    found = isolate_object(points, aim=np.array([0.0, 0.0, 0.4]), cameras=cameras)
+    isolated = isolate_object(points, aim=np.array([0.0, 0.0, 0.4]), cameras=cameras)
+    found = isolated.points
     assert (found.up is None) == (up is None)
     assert found.up is None or found.up @ UP > np.cos(np.radians(0.2)), "the floor tells it better"
     assert len(found) == pytest.approx(whole.sum(), rel=0.02)
     assert np.abs(found.xyz[:, :2]).max() < 0.36, "nothing of the floor or of the wall"
+    assert isolated.support is not None
+    assert np.abs(isolated.support.height(np.zeros((1, 3)))) < 0.01, "the floor, in the points' own frame"
 
 
 def standing(*parts: Floats) -> Points:
@@ -185,7 +188,7 @@ def standing(*parts: Floats) -> Points:
     ball = trimesh.sample.sample_surface(trimesh.creation.icosphere(4, 0.15), 6_000, seed=2)[0] + [0, 0, 0.15]
     cloud = np.concatenate([ball, *parts])
     cloud += np.random.default_rng(0).normal(0, 0.001, cloud.shape)
-    return isolate_object(Points(cloud, None, np.ones(len(cloud), np.float32), 1.0, "metric", UP))
+    return isolate_object(Points(cloud, None, np.ones(len(cloud), np.float32), 1.0, "metric", UP)).points
 
 
 def sheet(side: float, count: int) -> Floats:

@@ -40,6 +40,11 @@ def test_a_view_sees_past_a_place_where_its_depth_is_farther(depth: float, past:
     assert ask_views([picture(depth)] * 3)(PLACE, FACING).tolist() == [3 * past]
 
 
+def test_a_place_is_not_free_where_as_many_views_see_surface_there() -> None:
+    assert ask_views([picture(1.0), picture(3.0)])(PLACE, FACING).tolist() == [0]
+    assert ask_views([picture(1.0), picture(3.0), picture(3.0)])(PLACE, FACING).tolist() == [2]
+
+
 def test_a_grazing_view_and_one_that_does_not_have_the_place_say_nothing() -> None:
     aslant = np.array([[1.0, 0, -0.1]]) / np.linalg.norm([1.0, 0.1])
     assert ask_views([picture(3.0)])(PLACE, aslant).tolist() == [0]

@@ -1,0 +1,49 @@
+"""Lay a rough closed mesh on the points that it was fitted to, smoothly where there are none."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array, diags_array, eye_array
+from scipy.sparse.linalg import cg
+from scipy.spatial import cKDTree
+
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.normals import vertex_normals
+from capture2vr.edge.mesh.nouns import Mesh
+
+_NEIGHBOURS = 12
+_WIDE = 2.0  # spacings: standard deviation of the points' weights by their distance along the surface
+_FARTHEST = 1.5  # cells off the mesh: what is farther is another surface
+_SURE = 3.0  # sum of the weights from which on a place is known as well as with more
+_STIFF = 1.0  # weight of the offsets' bending
+_EXACT, _STEPS = 1e-4, 300
+
+
+def lay_on_points(mesh: Mesh, xyz: Floats, tree: cKDTree, spacing: float, cell: float) -> Mesh:
+    """Move a closed mesh along its normals onto the points (N,3), at most some cells away; between them smoothly.
+
+    tree, spacing  of the points; cell  of the grid that the mesh was made on
+    """
+    normals = vertex_normals(mesh)
+    away, near = tree.query(mesh.vertices, k=range(1, 1 + min(_NEIGHBOURS, len(xyz))), workers=-1)
+    off = np.einsum("vkx,vx->vk", xyz[near] - mesh.vertices[:, None], normals)
+    aside = np.square(away) - np.square(off)
+    weight = np.exp(-aside / (_WIDE * spacing) ** 2) * (np.abs(off) < _FARTHEST * cell)
+    total = weight.sum(axis=1)
+    wanted = (weight * off).sum(axis=1) / np.maximum(total, 1e-9)
+    known = np.minimum(total / _SURE, 1)
+    bend = laplacian(mesh)
+    matrix = (diags_array(known + 1e-6) + _STIFF * (bend.T @ bend)).tocsr()
+    offset, _ = cg(matrix, known * wanted, rtol=_EXACT, maxiter=_STEPS, M=diags_array(1 / matrix.diagonal()))
+    return Mesh(mesh.vertices + offset[:, None] * normals, mesh.faces)
+
+
+def laplacian(mesh: Mesh) -> csr_array:
+    """Matrix (V,V): a vertex's value less the mean of its neighbours'."""
+    count = len(mesh.vertices)
+    ends = edges_of(mesh.faces).ends
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    links = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
+    mean = diags_array(1 / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)) @ links
+    return (eye_array(count) - mean).tocsr()

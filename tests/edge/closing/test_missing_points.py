@@ -1,0 +1,129 @@
+"""Points are inferred where photos show no depth of a thing, out of free space, and never over true openings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.closing.carving import Carving
+from capture2vr.edge.closing.missing_points import MissingPoints, infer_missing
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.points.plane import Plane
+from capture2vr.edge.render.posed_picture import PosedPicture
+from tests.support.photos.posed_pictures import photographs, print_on
+
+RADIUS = 0.4
+TABLE = np.array([[-3.0, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]])
+AROUND = [(1.6 * np.cos(turn), 1.6 * np.sin(turn), 1.1) for turn in np.radians(np.arange(0, 360, 30))]
+
+
+def mesh_of(shape: trimesh.Trimesh) -> Mesh:
+    return Mesh(np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64))
+
+
+def seen(thing: trimesh.Trimesh, height: float, hole: Callable[[Floats], Bools] | None = None) -> MissingPoints:
+    """What is inferred of a thing that is photographed from all sides, its lowest place so high over a table.
+
+    hole  places (N,3) of it, less its height, that give no depth
+    """
+    thing = thing.copy()
+    middle = float(thing.bounds[:, 2].mean())
+    thing.apply_translation([0, 0, -middle])
+    low = float(thing.bounds[0, 2])
+    table = trimesh.Trimesh(TABLE + np.array([0, 0, low - height]), [[0, 1, 2], [0, 2, 3]], process=False)
+    photos = photographs(mesh_of(trimesh.util.concatenate([thing, table])), AROUND)
+    points = np.concatenate([depth_points(photo) for photo in photos])
+    points = points[points[:, 2] > low + max(0.02 - height, -0.005)]
+    if hole is not None:
+        points = points[~hole(points)]
+    points = points[np.unique(np.floor(points / 0.012).astype(int), axis=0, return_index=True)[1]]
+    rgb = np.clip(print_on(points), 0, 255).astype(np.uint8)
+    return infer_missing(points, rgb, photos, Plane(np.array([0.0, 0, 1]), low - height, 0.0, 0.5), "unseen")
+
+
+def depth_points(photo: PosedPicture) -> Floats:
+    """Places (N,3) that a photo's depth image shows."""
+    depth = photo.depth()
+    side = len(depth)
+    row, column = np.nonzero(depth < 4.9)
+    z = depth[row, column]
+    at = (np.stack([column, row], axis=1) + 0.5) / side
+    local = np.concatenate([(at - photo.middle) / photo.focal * z[:, None], z[:, None]], axis=1)
+    back = np.linalg.inv(photo.to_camera)
+    places: Floats = local @ back[:3, :3].T + back[:3, 3]
+    return places
+
+
+def ball() -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(4, RADIUS)
+
+
+def tube() -> trimesh.Trimesh:
+    """A tube of zero thickness, open at both ends, that lies along Y."""
+    shape = trimesh.creation.cylinder(0.25, 1.0, sections=64).subdivide_to_size(0.08)
+    shape.update_faces(np.abs(shape.face_normals[:, 2]) < 0.5)
+    return shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+
+
+@pytest.mark.slow
+def test_the_underside_of_what_stands_on_a_table_is_closed_down_to_the_table() -> None:
+    missing = seen(ball(), height=0.0)
+    assert missing.closed
+    assert len(missing.xyz) > 100
+    away = np.linalg.norm(missing.xyz, axis=1)
+    assert missing.xyz[:, 2].max() < 0.1, "of the upper half nothing is missing"
+    assert missing.xyz[:, 2].min() > -RADIUS - 0.015, "nothing lies under the table"
+    assert np.percentile(np.abs(away - RADIUS), 90) < 0.06, "it goes on as a ball does"
+    assert missing.fringe.mean() < 0.05
+
+
+@pytest.mark.slow
+def test_a_hole_in_a_surface_is_closed_in_the_surrounding_colours() -> None:
+    spot = np.array([RADIUS, 0, 0])
+
+    def hole(places: Floats) -> Bools:
+        dark: Bools = np.linalg.norm(places - spot, axis=1) < 0.07
+        return dark
+
+    missing = seen(ball(), 0.0, hole)
+    inside = np.linalg.norm(missing.xyz - spot, axis=1) < 0.06
+    assert inside.sum() > 15
+    assert np.abs(np.linalg.norm(missing.xyz[inside], axis=1) - RADIUS).max() < 0.03
+    assert missing.rgb is not None
+    red, green, blue = missing.rgb[inside].astype(float).mean(axis=0)
+    assert red > green > blue, "the print's order"
+
+
+@pytest.mark.slow
+def test_the_ends_of_a_tube_stay_open() -> None:
+    missing = seen(tube(), height=0.4)
+    assert not missing.closed
+    x, y, z = missing.xyz.T
+    assert not ((np.hypot(x, z) < 0.15) & (np.abs(y) > 0.3)).any()
+
+
+@pytest.mark.slow
+def test_a_sheet_seen_from_both_sides_is_no_closed_thing() -> None:
+    sheet = trimesh.creation.box((0.9, 0.005, 0.9)).subdivide_to_size(0.1)
+    missing = seen(sheet, height=0.4)
+    assert not missing.closed
+    assert len(missing.xyz) == 0
+
+
+@pytest.mark.slow
+@settings(max_examples=4, deadline=None)
+@given(st.floats(0.0, 0.5), st.floats(0.6, 1.4))
+def test_nothing_is_inferred_where_photos_look_through(height: float, stretch: float) -> None:
+    thing = ball().apply_scale([1, stretch, 0.8])
+    photos = photographs(mesh_of(thing), AROUND)
+    missing = seen(thing, height)
+    if len(missing.xyz):
+        assert Carving(tuple(photos)).is_free(missing.xyz).mean() < 0.05
+        assert cKDTree(missing.xyz).query(thing.vertices)[0].max() < 2
