@@ -98,7 +98,8 @@ def _resolve_preset(preset: Preset, points: Points, device: str) -> tuple[Preset
     if preset.name != AUTOMATIC:
         return preset, ""
     choice = choose(traits_of(points, gpu=device != "cpu"))
-    return replace(load_preset(choice.preset), resolution=preset.resolution), choice.because
+    chosen = load_preset(choice.preset)
+    return replace(chosen, resolution=preset.resolution, finest=choice.finest or chosen.finest), choice.because
 
 
 def _early_stop_steps(preset: Preset) -> int:
