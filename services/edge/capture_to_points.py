@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -18,7 +17,7 @@ from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.coverage import unseen_sides
 from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
 from capture2vr.edge.fusion.fuse_scene import fuse_scene
-from capture2vr.edge.fusion.orbit import sees_a_scene
+from capture2vr.edge.fusion.orbit import aimed_at, require_aim, sees_a_scene
 from capture2vr.edge.fusion.texture_views import (
     hold_out_frames,
     select_scene_views,
@@ -208,7 +207,7 @@ def _with_poses(capture: Capture, tick: Tick) -> tuple[Capture, Tick]:
     if capture.kind != "rgbd" or has_stereo_depth(capture.frames):  # stereo depth was made with its poses
         return capture, tick
     posed = with_poses(capture, lambda fraction: tick(_POSES * fraction))
-    return (capture, tick) if posed is capture else (posed, partial(_second_part, tick))
+    return (capture, tick) if posed is capture else (posed, part_of(tick, _POSES, 1))
 
 
 def _cloud_points(capture: Capture, voxel: float | None, cut: Cut, tick: Tick) -> Points:
@@ -249,7 +248,9 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, fill: F
     try:
         before = part_of(tick, 0, _CLOSING)
         cameras, turntable = fused.cameras, capture.turntable
-        isolated = isolate_object(points, aim=fused.aim, cameras=cameras, turntable=turntable, tick=before)
+        aim = aimed_at(capture.frames) if has_stereo_depth(capture.frames) else None
+        where = fused.aim if aim is None else aim
+        isolated = isolate_object(points, aim=where, cameras=cameras, turntable=turntable, tick=before)
     except CaptureError as error:
         if cut == "object":
             raise
@@ -257,13 +258,10 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, fill: F
         return replace(
             points, cut=kept, warnings=(*points.warnings, say("surroundings_not_removed", why=error.message))
         )
+    if aim is not None and cut == "auto":
+        require_aim(isolated.points.xyz, aim, cameras)
     thing = replace(isolated.points, unseen=unseen_sides(isolated.points, capture.frames))
     return close_object(thing, isolated.support, fill, part_of(tick, _CLOSING, 1))
-
-
-def _second_part(tick: Tick, fraction: float) -> None:
-    """Report the fraction of the time after the poses were computed."""
-    tick(_POSES + (1 - _POSES) * fraction)
 
 
 def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:

@@ -110,11 +110,16 @@ class Certificate:
     photos: PhotoFigures | None = None
     pieces: tuple[Piece, ...] = ()
 
+    @property
+    def border_over_root(self) -> float:
+        """Length of the borders over the root of the area: 0 for a closed surface, 6 for a dress, more in shreds."""
+        return self.boundary_length / float(np.sqrt(max(self.area, 1e-300)))
+
     def as_json(self) -> dict[str, Any]:
         """Serialise the figures as JSON, without the distances, which only `compare` needs."""
         figures = asdict(self)
         del figures["distances"]
-        return figures
+        return {**figures, "border_over_root": round(self.border_over_root, 3)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -166,7 +166,7 @@ def _preview(maker: AssetMaker, local: LocalFit, *, refines: bool) -> Generator[
     levels = yield from maker.levels(surface)
     if refines or subject.colours.texture_views:
         yield from maker.bundle(surface, levels, "preview", quality, last=False)
-    if subject.colours.held_out_views:
+    if subject.colours.texture_views:
         surface = maker.compare_with_photos(surface)
         quality = surface.quality(subject.preset, clock.seconds)
     if not refines:

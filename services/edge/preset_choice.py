@@ -42,7 +42,7 @@ _SEED = 0
 @dataclass(frozen=True, slots=True)
 class Traits:
     """What the choice depends on. Spacing: in the unit frame; noise: σ in spacings; extent_m: 0 if unknown; stereo:
-    whether the points come from depth that was matched between photos."""
+    whether it is an object cut out of depth that was matched between photos."""
 
     points: int
     spacing: float
@@ -71,10 +71,10 @@ def choose(traits: Traits) -> Choice:
         return Choice("scene-tiles", say("points_show_more_than", count=traits.points))
     if traits.extent_m > ROOM_M:
         return Choice("scene", say("size_m_room", size=traits.extent_m))
-    if traits.points > CROWD:
-        return Choice("scene", say("points_many_one_object", count=traits.points))
     if traits.stereo:
         return Choice("draft", say("points_from_photos_gain_nothing", count=traits.points), STEREO_FINEST)
+    if traits.points > CROWD:
+        return Choice("scene", say("points_many_one_object", count=traits.points))
     if not traits.gpu:
         return Choice("standard", say("points_on_cpu_where_finer", count=traits.points))
     if traits.noise > NOISY:
@@ -96,8 +96,14 @@ def traits_of(points: Points, *, gpu: bool) -> Traits:
         noise=float(noise),
         extent_m=0.0 if points.scale_confidence == "unknown" else longest * points.metres_per_unit,
         gpu=gpu,
-        stereo=any(not view.tracked for view in points.texture_views),
+        stereo=_is_object_of_photos(points),
     )
+
+
+def _is_object_of_photos(points: Points) -> bool:
+    """Return whether points are an object's, cut out of depth that was matched between photos."""
+    is_object = points.cut is not None and points.cut.kept == "object"
+    return is_object and any(not view.tracked for view in points.texture_views)
 
 
 def _around(xyz: Floats, centre: int) -> Floats:

@@ -23,6 +23,7 @@ GARMENT = Traits(points=20_000, spacing=0.01, noise=0.0, extent_m=0.0, gpu=False
         ({"gpu": True}, "fine", "little noise"),
         ({"gpu": True, "stereo": True}, "draft", "photos"),
         ({"stereo": True}, "draft", "photos"),
+        ({"stereo": True, "points": CROWD + 1}, "draft", "photos"),
         ({"stereo": True, "extent_m": 5.2}, "scene", "5.2 m"),
         ({"gpu": True, "noise": NOISY + 0.1}, "standard", "noise"),
         ({"gpu": True, "spacing": 0.03}, "standard", "apart"),

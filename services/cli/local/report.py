@@ -23,6 +23,7 @@ _ROWS = {
     "components": ("pieces", "", "{:,}"),
     "boundary_loops": ("border loops", "", "{:,}"),
     "boundary_length": ("border length", "the longest side is 1", "{:.2f}"),
+    "border_over_root": ("border over the root of the area", "0 is closed, a dress has 6", "{:.2f}"),
     "non_manifold_edges": ("non-manifold edges", "", "{:,}"),
     "triangles": ("triangles", "", "{:,}"),
     "resolution": ("cells along the longest side", "", "{:,}"),
@@ -74,6 +75,7 @@ def report_page(
             f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>',
             f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style>',
             f"<h1>{title}</h1>",
+            *_grade(report["quality"].get("grade")),
             *_summary(report),
             *(_figure(state, png) for state, png in pictures.items()),
             "<table><tr><th></th>",
@@ -141,6 +143,18 @@ def _compared_photos(compared: Mapping[str, bytes]) -> Iterator[str]:
     yield "blue: surface where the photo shows background</small></p>"
     for name, content in photos.items():
         yield f'<img src="{_jpeg(content)}" alt="{escape(name)}">'
+
+
+def grade_line(grade: Mapping[str, str]) -> str:
+    """Return an asset's grade as one line: the word, then why and what to do."""
+    why = f": {grade['because']}. {grade['advice']}" if grade["because"] else ""
+    return f"{grade['level'].capitalize()}{why}"
+
+
+def _grade(grade: Mapping[str, str] | None) -> Iterator[str]:
+    """Yield how good the asset is, where photos tell."""
+    if grade:
+        yield f"<p><b>{escape(grade_line(grade))}</b></p>"
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:

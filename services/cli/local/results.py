@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from capture2vr.cli.local.reference_mesh import read_mesh
-from capture2vr.cli.local.report import report_page
+from capture2vr.cli.local.report import grade_line, report_page
 from capture2vr.cli.progress import console, warn
 from capture2vr.client.earlier_results import BUNDLE, PICTURES, PREVIEW, SOURCE, files_of_both, remove_earlier
 from capture2vr.edge.mesh.nouns import Mesh
@@ -132,6 +132,8 @@ def print_result(out: Path, report: dict[str, Any]) -> None:
     quality, seconds = report["quality"], report["seconds"]
     size = " × ".join(f"{side:.3g}" for side in report["size_m"])
     lods = ", ".join(f"{lod['triangles']:,}" for lod in report["lods"])
+    if grade := quality.get("grade"):
+        console.print(grade_line(grade))
     console.print(
         f"{report['points']:,} points → {quality['triangles']:,} triangles in {quality['components']:,} pieces, "
         f"{quality['non_manifold_edges']:,} non-manifold edges; {size} m (scale {report['scale_confidence']})"

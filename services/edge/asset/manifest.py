@@ -10,6 +10,7 @@ import numpy as np
 
 import capture2vr
 from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.asset.grade import Grade, grade_asset
 from capture2vr.edge.asset.photo_check import PhotoCheck
 from capture2vr.edge.asset.target import Cost, Target
 from capture2vr.edge.capture_to_points import CaptureFacts
@@ -125,7 +126,13 @@ class MeasuredSurface:
         """Sentences about what a person would notice of the surface."""
         share = self.surface.share
         filled = say("surface_filled_in_photos_show", share=share) if share >= _TOLD else ""
-        return (*((filled,) if filled else ()), *self.check.warnings())
+        grade = self.grade
+        return (*(grade.warnings() if grade else ()), *((filled,) if filled else ()), *self.check.warnings())
+
+    @property
+    def grade(self) -> Grade | None:
+        """How good the surface is; None where there are no photos to tell."""
+        return grade_asset(self.certificate, self.check, self.surface.share)
 
     def quality(self, preset: Preset, seconds: Mapping[str, float]) -> dict[str, Any]:
         """The manifest's `quality` entry: certificate and training; seconds: by stage, up to here."""
@@ -133,6 +140,7 @@ class MeasuredSurface:
             "resolution": self.resolution,
             **self.certificate.as_json(),
             "filled_area": round(self.surface.share, 5),
+            "grade": None if (grade := self.grade) is None else grade.as_json(),
             "preset": preset.name,
             "steps": self.steps,
             "losses": dict(self.losses),
@@ -176,8 +184,8 @@ def build_manifest(
             "cut": None if points.cut is None else asdict(points.cut),
         },
         "origin": "guess" if source.kind == "image" else "measured",
-        "confidence": round(float(points.confidence.mean()), 3),
-        "points": len(points) + quality["held_out"],
+        "confidence": round(float(points.confidence[points.measured].mean()), 3),
+        "points": int(points.measured.sum()) + quality["held_out"],
         "anchors": {"xyz_m": anchors.ravel().tolist(), "rgb": anchor_colours.ravel().tolist()},
         "edits": points.edits.as_json,
         "scale_confidence": points.scale_confidence,

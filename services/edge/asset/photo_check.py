@@ -35,6 +35,8 @@ from capture2vr.sentences.sentence import say
 
 _MOST_OUTLINES = 20
 """Photos that are asked for outlines, evenly chosen: each takes a tenth of a second."""
+_MOST_OWN = 4
+"""Photos that a surface was made from and is compared with, where none could be spared for that."""
 _CLOSED = 10.0
 """Spacings from inferred points within which a surface was closed, and has no rims."""
 _MANY_HOLES = 0.03
@@ -56,9 +58,14 @@ different things: exposure and gloss give 10 to 20."""
 
 @dataclass(frozen=True, slots=True)
 class PhotoCheck:
-    """A surface compared with the held-out photos: by photo; empty where the capture could spare none."""
+    """A surface compared with photos.
+
+    surface  with those that were held out; empty where the capture could spare none
+    own      then with a few of those that it was made from
+    """
 
     surface: tuple[SurfaceCheck, ...] = ()
+    own: tuple[SurfaceCheck, ...] = ()
 
     @property
     def figures(self) -> PhotoFigures | None:
@@ -83,9 +90,12 @@ class PhotoCheck:
 
 
 def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> PhotoCheck:
-    """Compare a mesh in the unit frame with the held-out photos of its points."""
+    """Compare a mesh in the unit frame with the held-out photos of its points, else with a few of the others."""
     held_out, seen_by = in_unit_frame(points.held_out_views, unit), in_unit_frame(points.texture_views, unit)
-    return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)))
+    if held_out:
+        return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)))
+    few = seen_by[:: max(1, -(-len(seen_by) // _MOST_OWN))]
+    return PhotoCheck(own=tuple(check_surface(mesh_unit, few, seen_by)))
 
 
 def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> Mesh:

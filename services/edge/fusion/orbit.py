@@ -8,6 +8,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import Frame
+from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.fuse import has_stereo_depth
 from capture2vr.sentences.sentence import say
 
@@ -22,6 +23,8 @@ _PARALLEL = 0.9
 _BEYOND = 1.5
 """Largest depth of what is seen in the middle of the pictures, over the distance to where the axes meet. An object
 there is nearer than its middle; seen across a room, the opposite wall is at least twice as far away."""
+_ASIDE = 0.2
+"""How far from the box around what was cut out the photos may aim, over the distance of the cameras."""
 _NEAREST = 10
 """Percentile of the depth in the middle of a picture: a lamp on its pole covers little of it."""
 _ASKED = 24
@@ -37,18 +40,42 @@ def sees_a_scene(frames: Sequence[Frame]) -> str:
     """
     if not has_stereo_depth(frames):
         return say("depth_sensor_pointed_what_wanted")
-    poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in frames])
-    eyes, axes = poses[:, :3, 3], poses[:, :3, 2]
-    point = meeting_point(eyes, axes)
-    away = np.einsum("ni,ni->n", point - eyes, axes)
-    missed = np.linalg.norm(point - eyes - away[:, None] * axes, axis=1)
-    if np.mean(away > 0) < _IN_FRONT or np.median(missed) >= _MISSED_BY * np.median(away):
+    eyes, axes = _eyes_and_axes(frames)
+    point = aimed_at(frames)
+    if point is None:
         if np.linalg.norm(axes.mean(axis=0)) > _PARALLEL:
             return say("cameras_look_past_each_other")
         return say("cameras_look_outward")
-    if _depth_of_middle(frames, away) > _BEYOND:
+    if _depth_of_middle(frames, np.einsum("ni,ni->n", point - eyes, axes)) > _BEYOND:
         return say("cameras_look_across_room_nothing")
     return ""
+
+
+def aimed_at(frames: Sequence[Frame]) -> Floats | None:
+    """Return the point (3,) that posed frames aim at, where their optical axes meet; None where they do not."""
+    eyes, axes = _eyes_and_axes(frames)
+    point = meeting_point(eyes, axes)
+    away = np.einsum("ni,ni->n", point - eyes, axes)
+    missed = np.linalg.norm(point - eyes - away[:, None] * axes, axis=1)
+    meet = np.mean(away > 0) >= _IN_FRONT and np.median(missed) < _MISSED_BY * np.median(away)
+    return point if meet else None
+
+
+def require_aim(thing: Floats, aim: Floats, eyes: Floats) -> None:
+    """Raise CaptureError CAPTURE_NOTHING_LEFT where points (N,3) that were cut out are not what cameras (M,3) aim at.
+
+    A black, shiny or transparent object gives no depth, and what stands behind it does.
+    """
+    outside = np.maximum(np.maximum(thing.min(axis=0) - aim, aim - thing.max(axis=0)), 0)
+    if np.linalg.norm(outside) > _ASIDE * np.median(np.linalg.norm(eyes - aim, axis=1)):
+        hints = (say("again_matt"), say("keep_thing_in_middle_picture"))
+        raise CaptureError("CAPTURE_NOTHING_LEFT", say("aimed_at_gave_no_depth"), hints=hints)
+
+
+def _eyes_and_axes(frames: Sequence[Frame]) -> tuple[Floats, Floats]:
+    """Positions (N,3) and optical axes (N,3) of the frames' cameras."""
+    poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in frames])
+    return poses[:, :3, 3], poses[:, :3, 2]
 
 
 def _depth_of_middle(frames: Sequence[Frame], away: Floats) -> float:

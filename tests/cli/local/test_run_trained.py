@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture2vr.cli.local.results import Results
+from capture2vr.cli.local.results import Results, print_result
 from capture2vr.cli.local.run import RunOptions, run_preset
 from capture2vr.cli.local.run_many import run_captures
 from capture2vr.cli.remote.push import continue_capture, push_capture
@@ -78,6 +78,7 @@ def bundle(state: str, mean: float, **quality: object) -> Bundle:
         "components": 1,
         "boundary_loops": 1,
         "boundary_length": 3.14,
+        "border_over_root": 1.57,
         "non_manifold_edges": 0,
         "triangles": 1000,
         "resolution": 96,
@@ -206,6 +207,19 @@ def test_held_out_photos_are_shown_with_their_figures(tmp_path: Path) -> None:
     assert "21.50" in page
     assert "SSIM" not in page, "it was not measured"
     assert "of their depth" not in page
+
+
+def test_the_grade_comes_first_on_the_page_and_on_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = Results(tmp_path / "out", "shirt")
+    grade = {"level": "shoot again", "because": "the surface is in <shreds>", "advice": "Give it light."}
+    results.write(bundle("preview", 0.003, grade=grade))
+    page = (results.out / "report.html").read_text()
+    line = "<b>Shoot again: the surface is in &lt;shreds&gt;. Give it light.</b>"
+    assert page.index(line) < page.index("<table>")
+    print_result(results.out, results.report)
+    assert capsys.readouterr().err.startswith("Shoot again: the surface is in <shreds>. Give it light.")
 
 
 def test_both_certificates_have_a_column_of_photos(results: Results) -> None:

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics
 from capture2vr.edge.capture_to_points import to_points
-from capture2vr.edge.fusion.orbit import meeting_point, sees_a_scene
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.fusion.orbit import aimed_at, meeting_point, require_aim, sees_a_scene
 from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.points.scale import scale_to_longest, span
 from tests.support.scenes import PHONE, Scene, film, furnished_room, look_around, look_at, plane, scene
@@ -44,6 +45,18 @@ def ring(count: int, degrees: float = 360) -> Floats:
 def test_a_walk_around_a_thing_aims_at_it_roughly(count: int, degrees: float, seed: int) -> None:
     aims = np.random.default_rng(seed).normal(0, 0.04, (count, 3))
     assert not sees_a_scene(frames(ring(count, degrees), aims))
+
+
+@given(st.integers(3, 40), st.floats(60, 360), st.floats(-1, 1))
+def test_what_is_cut_out_must_be_what_the_photos_aim_at(count: int, degrees: float, side: float) -> None:
+    eyes = ring(count, degrees)
+    aim = aimed_at(frames(eyes, np.zeros((count, 3))))
+    assert aim is not None
+    thing = np.random.default_rng(0).normal(0, 0.05, (200, 3))
+    require_aim(thing + 0.1 * side, aim, eyes)
+    with pytest.raises(CaptureError, match="what you aimed at gave no depth") as found:
+        require_aim(thing + np.array([0, -0.4, 1.0 + side / 2]), aim, eyes)
+    assert found.value.hints
 
 
 @given(st.integers(10, 40), st.integers(0, 99))

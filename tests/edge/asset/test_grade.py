@@ -1,0 +1,75 @@
+"""The grade: the worst photo counts, and the cause comes with what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from capture2vr.edge.asset.grade import Grade, grade_asset
+from capture2vr.edge.asset.photo_check import PhotoCheck
+from capture2vr.edge.certificate import Certificate
+from capture2vr.edge.render.photo_comparison import PhotoFigures, SurfaceCheck
+from capture2vr.edge.render.posed_picture import PosedPicture
+
+FAULTLESS = PhotoFigures(photos=1, cover=0.98, lace=0.0, inside_out=0.0, leak=0.0, depth=0.95)
+
+
+def photo(name: str = "a.jpg", **figures: float | None) -> SurfaceCheck:
+    nothing: Any = None
+    picture = PosedPicture(np.eye(4), np.ones(2), np.full(2, 0.5), nothing, name=name)
+    return SurfaceCheck(picture, *[nothing] * 6, replace(FAULTLESS, **figures))  # type: ignore[arg-type]
+
+
+def graded(*photos: SurfaceCheck, border: float = 0.0, filled: float = 0.0, own: bool = False) -> Grade:
+    distances = np.zeros(1)
+    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 2 * border, 1, 0, distances)
+    check = PhotoCheck(own=photos) if own else PhotoCheck(photos)
+    grade = grade_asset(certificate, check, filled)
+    assert grade is not None
+    return grade
+
+
+def test_a_faultless_surface_is_good_and_says_no_more() -> None:
+    assert graded(photo()) == Grade("good")
+    assert graded(photo()).warnings() == ()
+
+
+@pytest.mark.parametrize(
+    ("worse", "told"),
+    [
+        ({"lace": (0.03, 0.1, 0.4)}, "holes"),
+        ({"depth": (0.8, 0.55, 0.4)}, "depth"),
+        ({"cover": (0.85, 0.7, 0.4)}, "is there"),
+    ],
+)
+def test_each_figure_alone_lowers_the_grade_with_its_cause(worse: dict[str, tuple[float, ...]], told: str) -> None:
+    ((name, values),) = worse.items()
+    grades = [graded(photo(**{name: value})) for value in values]
+    assert [each.level for each in grades] == ["usable", "incomplete", "shoot again"]
+    assert all(told in each.because for each in grades)
+    assert all(each.advice for each in grades)
+
+
+def test_shreds_and_what_was_made_up_count_too() -> None:
+    assert graded(photo(), border=39.0).level == "shoot again"
+    assert graded(photo(), border=6.5).level == "good", "a dress"
+    assert graded(photo(), filled=0.44).level == "good", "fruit whose undersides nobody saw"
+    assert graded(photo(), filled=0.8).level == "shoot again"
+
+
+def test_the_worst_photo_counts_and_is_named() -> None:
+    grade = graded(photo("a.jpg"), photo("dark side.jpg", lace=0.06), photo("c.jpg"))
+    assert grade.level == "incomplete"
+    assert "dark side.jpg" in grade.because
+    (warning,) = grade.warnings()
+    assert warning.startswith("Incomplete: ")
+    assert graded(photo(depth=0.2)).warnings()[0].startswith("Shoot it again: ")
+
+
+def test_photos_that_it_was_made_from_tell_where_none_could_be_spared() -> None:
+    assert graded(photo(lace=0.3), own=True).level == "shoot again"
+    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 0.0, 1, 0, np.zeros(1))
+    assert grade_asset(certificate, PhotoCheck(), 0.0) is None
