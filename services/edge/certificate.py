@@ -27,6 +27,7 @@ from capture2vr.edge.mesh.sampling import area, sample
 from capture2vr.edge.mesh.spacing import point_spacing
 from capture2vr.edge.mesh.topology import component_count
 from capture2vr.edge.render.photo_comparison import PhotoFigures
+from capture2vr.edge.render.seen_around import fringe, largest_hole
 from capture2vr.sentences.sentence import in_row, say
 
 HELD_OUT_SHARE = 0.02  # of the points
@@ -84,7 +85,9 @@ class Certificate:
     points_to_mesh_median, _p95    distance of the input points to the mesh
     consistency          mean of 1 − |cos(g(q), g(q̂))| near the surface: 0 where the field falls straight
     stray_area           share of the mesh farther than two spacings from every input point
-    boundary_length      of all borders; boundary_loops: their connected chains
+    boundary_length      of all borders; boundary_loops: their connected chains; fringe: how many times as long they are
+                         as when they are smoothed
+    largest_hole         share of the mesh's pixels that show its inside, from the direction in which it is most
     distances            (H,) of the held-out points, for comparing two surfaces point by point
     photos               figures of the comparison with held-out photos; None where the capture could spare none, and
                          until they are compared: `certify` does not
@@ -106,6 +109,8 @@ class Certificate:
     boundary_length: float
     boundary_loops: int
     non_manifold_edges: int
+    fringe: float
+    largest_hole: float
     distances: Floats = field(repr=False, compare=False)
     photos: PhotoFigures | None = None
     pieces: tuple[Piece, ...] = ()
@@ -177,6 +182,8 @@ def certify(
         boundary_length=_length(mesh_unit, border),
         boundary_loops=component_count(border),
         non_manifold_edges=edges.crowded_count,
+        fringe=fringe(mesh_unit),
+        largest_hole=largest_hole(mesh_unit),
         distances=away,
         pieces=pieces,
     )

@@ -18,8 +18,10 @@ from capture2vr.edge.arrays import Bytes, Floats
 
 WINDOW = 7
 """Side of the windows in pixels: 5 is noisier, 9 makes thin objects wider."""
-NOISE = 1.0
-"""Standard deviation of the noise in grey levels (of 255): a phone's in daylight, after downscaling."""
+NOISE = 0.5
+"""Standard deviation of the noise in grey levels (of 255): a phone's in daylight, after downscaling. With 1, which dark
+and smooth surfaces hardly exceed, 63 instead of 67 % of a dark plush toy's pixels darker than 20 have depth, and of an
+unglazed pot in a rendered walk 65 instead of 67 %, of which 5.3 instead of 5.2 % are wrong; .3 gains 1 % more."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,7 @@ _PROBES = 20_000  # pixels of a photo for which it is asked which side the other
 class PhotoFigures:
     """Mean figures over the compared photos, in [0,1] but for psnr in dB; None where it cannot be measured.
 
-    photos  number of photos; the other fields as in the module's text
+    photos  number of photos; worst_lace: the lace of the one with the largest; the other fields as in the module's text
     """
 
     photos: int
@@ -59,6 +59,7 @@ class PhotoFigures:
     psnr: float | None = None
     ssim: float | None = None
     sharp: float | None = None
+    worst_lace: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +135,7 @@ def mean_figures(checks: Sequence[SurfaceCheck], likeness: Sequence[LikenessChec
         psnr=_mean_of_known([pair.psnr for pair in alike]),
         ssim=_mean_of_known([pair.ssim for pair in alike]),
         sharp=_mean_of_known([pair.sharp for pair in alike]),
+        worst_lace=round(max(check.figures.lace for check in checks), 5),
     )
 
 

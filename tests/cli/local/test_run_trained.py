@@ -79,6 +79,8 @@ def bundle(state: str, mean: float, **quality: object) -> Bundle:
         "boundary_loops": 1,
         "boundary_length": 3.14,
         "border_over_root": 1.57,
+        "fringe": 1.0,
+        "largest_hole": 0.2,
         "non_manifold_edges": 0,
         "triangles": 1000,
         "resolution": 96,

@@ -25,7 +25,7 @@ def photo(name: str = "a.jpg", **figures: float | None) -> SurfaceCheck:
 
 def graded(*photos: SurfaceCheck, border: float = 0.0, filled: float = 0.0, own: bool = False) -> Grade:
     distances = np.zeros(1)
-    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 2 * border, 1, 0, distances)
+    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 2 * border, 1, 0, 1.0, 0.0, distances)
     check = PhotoCheck(own=photos) if own else PhotoCheck(photos)
     grade = grade_asset(certificate, check, filled)
     assert grade is not None
@@ -71,5 +71,5 @@ def test_the_worst_photo_counts_and_is_named() -> None:
 
 def test_photos_that_it_was_made_from_tell_where_none_could_be_spared() -> None:
     assert graded(photo(lace=0.3), own=True).level == "shoot again"
-    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 0.0, 1, 0, np.zeros(1))
+    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 0.0, 1, 0, 1.0, 0.0, np.zeros(1))
     assert grade_asset(certificate, PhotoCheck(), 0.0) is None
