@@ -25,9 +25,9 @@ _UNDER = 0.1
 """Least mean cosine between the normals around such a part and its own where the surface turns under the thing."""
 _LOWEST, _REACHES = 10.0, 0.05
 """Percentile of the heights around such a part that tells how far down the surface comes, and how near it must be."""
-_MOST_SUPPORT = 0.6
-"""Share of the surface up to which a part that rests on the plane is taken: of a thing whose back nobody saw, more
-would be made up than is known."""
+_MOST_SUPPORT = 0.45
+"""Share of the surface up to which a part that rests on the plane is taken: of a façade whose back nobody saw, more
+would be made up than is known. Fruit that was photographed from above has .3."""
 _CONTINUES, _AROUND = 0.5, 3
 """Least mean cosine between a part's normal and those of the surface around it, in so many rings of triangles, for a
 hole in a surface: over the end of a tube it is 0."""

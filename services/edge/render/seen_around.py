@@ -15,7 +15,8 @@ _DIRECTIONS, _SIDE = 20, 96
 """Directions that are looked from, spread evenly, and the rays along each side of a picture: shares to .02 %."""
 _SMOOTH = 0.01
 """Standard deviation of the smoothing of a border, of the mesh's longest side: a hem stays, a fringe does not."""
-_ROUNDS = 12
+_ROUNDS, _WIDEST = 12, 0.1
+"""Rounds in which the smoothing is adapted to the border's own length, and its most, of that length."""
 _LEAST_BORDER = 0.1
 """Length of a border, of the longest side, below which it is a hole, and has no fringe."""
 
@@ -65,7 +66,7 @@ def fringe(mesh: Mesh) -> float:
         sigma = along = len(even) * _SMOOTH * longest / length
         for _ in range(_ROUNDS):  # a ragged border is longer than the way along which it is smoothed
             smoothed = _length(gaussian_filter1d(even, along, axis=0, mode="wrap"))
-            along = sigma * length / max(smoothed, 1e-300)
+            along = min(sigma * length / max(smoothed, 1e-300), _WIDEST * len(even))
         ragged += length
         smooth += smoothed
     return ragged / smooth if smooth else 1.0

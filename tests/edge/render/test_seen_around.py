@@ -32,6 +32,14 @@ def test_a_cap_that_is_missing_shows_as_much_inside_as_it_covers(degrees: float)
     assert 0.7 * most < largest_hole(ball(degrees)) < 1.1 * most
 
 
+def test_a_sliver_that_smoothing_takes_away_has_an_end() -> None:
+    turn = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    rim = np.stack([np.cos(turn), 1e-4 * np.sin(150 * turn), 0 * turn], axis=1)
+    inner = np.arange(300)
+    sliver = Mesh(np.concatenate([rim, np.zeros((1, 3))]), np.stack([np.full(300, 300), inner, np.roll(inner, -1)], 1))
+    assert 1 <= fringe(sliver) < 100
+
+
 @pytest.mark.parametrize("tooth", [0.0, 0.02, 0.05])
 def test_teeth_make_a_border_longer_than_it_is_when_smoothed(tooth: float) -> None:
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
