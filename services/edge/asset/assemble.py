@@ -128,6 +128,7 @@ def assemble_bundle(
         to_asset=to_asset,
         seconds=clock.seconds,
         warnings=(*edition.warnings, *surface.warnings(), *texture_warnings),
+        grade=surface.grade,
     )
     if state == "refined":
         require_budget(subject.target, costs)

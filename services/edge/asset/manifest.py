@@ -126,8 +126,7 @@ class MeasuredSurface:
         """Sentences about what a person would notice of the surface."""
         share = self.surface.share
         filled = say("surface_filled_in_photos_show", share=share) if share >= _TOLD else ""
-        grade = self.grade
-        return (*(grade.warnings() if grade else ()), *((filled,) if filled else ()), *self.check.warnings())
+        return (*((filled,) if filled else ()), *self.check.warnings())
 
     @property
     def grade(self) -> Grade | None:
@@ -158,15 +157,17 @@ def build_manifest(
     to_asset: Floats,
     seconds: Mapping[str, float],
     warnings: Sequence[str],
+    grade: Grade | None = None,
 ) -> dict[str, Any]:
     """Build the asset's manifest as JSON; publishing adds the files' names, sizes and hashes.
 
-    costs: of the levels of detail, finest first; finest: the first of them, in the asset frame.
+    costs: of the levels of detail, finest first; finest: the first of them, in the asset frame;
+    grade: of the asset, said before everything else where it is bad.
     """
     source, points, unit = subject.source, subject.points, subject.unit
     low, high = finest.vertices.min(axis=0), finest.vertices.max(axis=0)
     anchors, anchor_colours = anchors_m(points, to_asset)
-    all_warnings = [*points.warnings, *warnings]
+    all_warnings = [*(grade.warnings() if grade else ()), *points.warnings, *warnings]
     if points.up is None:
         all_warnings.append(say("capture_does_not_say_way"))
     return {

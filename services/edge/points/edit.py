@@ -37,7 +37,8 @@ def cut_away(points: Points, edits: Edits, tick: Tick = no_tick) -> Points:
             say("edits_leave_points_least_needed", left=int(keep.sum()), count=len(points), least=MIN_POINTS),
             hints=(say("make_crop_box_larger_leave"), say("check_they_capture")),
         )
-    kept = _with_lassos(points.subset(keep), edits)
+    # What a person cuts off leaves an opening that must stay one.
+    kept = _with_lassos(replace(points.subset(keep), closed=points.closed and bool(keep.all())), edits)
     if points.whole is None:
         return kept
     whole = kept_parts(points.whole, edits, drawn, tick)

@@ -176,6 +176,8 @@ def test_a_capture_of_many_pictures_ends_with_their_figures() -> None:
     *_, bundle = [step for step in steps if isinstance(step, Bundle)]
     figures = bundle.manifest["quality"]["photos"]
     assert figures["photos"] == 2
+    assert figures["worst_lace"] >= figures["lace"]
+    assert bundle.manifest["quality"]["grade"]["level"] in {"good", "usable", "incomplete"}
     assert figures["cover"] > 0.95
     assert figures["lace"] < 0.02
     assert figures["psnr"] > 15

@@ -82,6 +82,12 @@ def test_a_plane_keeps_the_side_of_its_normal() -> None:
     assert len(kept) == (cloud().xyz[:, 1] >= -0.5).sum()
 
 
+def test_what_a_person_cuts_off_leaves_a_true_opening() -> None:
+    whole = replace(cloud(), closed=True)
+    assert cut_away(whole, Edits(planes=(CutPlane((0.0, 0, -1e6), (0.0, 0, 1)),))).closed
+    assert not cut_away(whole, Edits(planes=(CutPlane((0.0, 0, 0), (0.0, 0, 1)),))).closed
+
+
 def test_colours_and_confidences_go_with_their_points() -> None:
     points = cloud()
     kept = cut_away(points, Edits(crop=CropBox((0, 0, 0), (1, 1, 1))))
