@@ -67,6 +67,8 @@ class LooseParts:
     def missing(self, support: Plane | None, cell: float, spacing: float, fill: Fill) -> tuple[Bools, bool]:
         """Return a mask (F,) of the faces of the parts that are missing surface, and whether the thing is closed with
         them: whether no other part is large enough to be a true opening."""
+        if not self.count:
+            return np.zeros(len(self.number), bool), True
         areas = np.linalg.norm(self.normals, axis=1)
         area = self._sum(self.number, areas)
         share = area / max(float(areas.sum()), 1e-300)
