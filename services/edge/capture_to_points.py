@@ -250,7 +250,8 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, fill: F
         cameras, turntable = fused.cameras, capture.turntable
         aim = aimed_at(capture.frames) if has_stereo_depth(capture.frames) else None
         where = fused.aim if aim is None else aim
-        isolated = isolate_object(points, aim=where, cameras=cameras, turntable=turntable, tick=before)
+        masked = any(frame.load_mask for frame in capture.frames)
+        isolated = isolate_object(points, aim=where, cameras=cameras, turntable=turntable, masked=masked, tick=before)
     except CaptureError as error:
         if cut == "object":
             raise

@@ -116,6 +116,7 @@ class Frame:
     window_px        side of the window that stereo matched per pixel: depth errors within it correlate; 1 for sensors
     picture          camera of the photo that it was made from; None for depth cameras
     shown            the upright picture that a person sees, where that is a file or a key frame; None otherwise
+    load_mask        -> (H,W) bool, where the object is, of the same field of view; None where no mask came with it
     """
 
     name: str
@@ -127,6 +128,7 @@ class Frame:
     window_px: int = 1
     picture: PictureCamera | None = None
     shown: ShownPicture | None = None
+    load_mask: Callable[[], Bools] | None = None
 
 
 class LoadPhoto(Protocol):

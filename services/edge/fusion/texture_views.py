@@ -76,5 +76,11 @@ def texture_view(frame: Frame) -> TextureView:
     assert frame.load_rgb is not None
     pose = np.asarray(frame.camera_to_world, np.float64)
     return TextureView(
-        frame.intrinsics, pose, frame.load_rgb, frame.load_depth_m, frame.name, tracked=frame.window_px == 1
+        frame.intrinsics,
+        pose,
+        frame.load_rgb,
+        frame.load_depth_m,
+        frame.name,
+        tracked=frame.window_px == 1,
+        load_mask=frame.load_mask,
     )

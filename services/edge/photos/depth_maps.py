@@ -158,7 +158,9 @@ def _frame(seen: UndistortedPhoto, depth: Floats, score: Floats, longest: int) -
     turns = seen.view.photo.turns
     confidence = (_FLOOR + (1 - _FLOOR) * np.clip(score, 0, 1)).astype(np.float16)
     depth, confidence = np.rot90(depth, -turns), np.rot90(confidence, -turns)
-    camera, pose = seen.camera, seen.view.camera_to_world
+    camera, pose, photo = seen.camera, seen.view.camera_to_world, seen.view.photo
+    given = seen.mask if photo.load_mask or photo.load_alpha else None
+    mask = None if given is None else np.ascontiguousarray(np.rot90(given, -turns))
     for _ in range(turns):
         camera, pose = _rotate_clockwise(camera), pose @ _CLOCKWISE
     return Frame(
@@ -170,7 +172,8 @@ def _frame(seen: UndistortedPhoto, depth: Floats, score: Floats, longest: int) -
         PhotoColours(seen.view, longest),
         window_px=WINDOW,
         picture=picture_camera(seen.view),
-        shown=ShownPicture(seen.view.photo.name, UprightPhoto(seen.view)),
+        shown=ShownPicture(photo.name, UprightPhoto(seen.view)),
+        load_mask=None if mask is None else lambda: mask,
     )
 
 

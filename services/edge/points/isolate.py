@@ -82,12 +82,15 @@ def isolate_object(
     aim: Floats | None = None,
     cameras: Floats | None = None,
     turntable: bool = False,
+    masked: bool = False,
     tick: Tick = no_tick,
 ) -> IsolatedObject:
     """Keep the object in the middle: remove one supporting plane, and all clusters that do not touch the chosen one.
 
     aim (3,): the point that the cameras looked at, capture frame; None: the middle of the points. cameras (M,3)
     positions. turntable: the points have only the object and perhaps the plate that turns with it, wider than it.
+    masked: masks that came with the photos have left out what is around the object.
+
     Up becomes the normal of that plane, if it is nearly level and nothing surer contradicts it. For a flat object
     that lies on the plane, the plane stays, with a warning.
 
@@ -103,10 +106,8 @@ def isolate_object(
         near = _near_mask(xyz, middle, eyes)
         plane = _supporting_plane(xyz[near], points.up, eyes)
     tick(0.93)
-    if plane is None:
-        cut = _Cut(_object_mask(xyz, near, middle), None, "" if turntable else say("no_table_floor_found_below"))
-    else:
-        cut = _cut_off(plane, xyz, near, middle)
+    none = "" if turntable or masked else say("no_table_floor_found_below")
+    cut = _cut_off(plane, xyz, near, middle) if plane else _Cut(_object_mask(xyz, near, middle), None, none)
     tick(1.0)
     if cut.thing.sum() < _MIN_POINTS:
         raise CaptureError(

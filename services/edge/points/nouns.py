@@ -62,6 +62,7 @@ class TextureView:
     load_depth_m     -> (H,W) float32 of the same field of view, units of the capture, 0 where unknown
     name             of the photo or frame in the capture
     tracked          whether the pose is a device's tracking, which errs by pixels; poses from photos err by tenths
+    load_mask        -> (H,W) bool, where the object is, of the same field of view; None where no mask came with it
     """
 
     intrinsics: Intrinsics
@@ -70,6 +71,7 @@ class TextureView:
     load_depth_m: Callable[[], Floats]
     name: str = ""
     tracked: bool = False
+    load_mask: Callable[[], Bools] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,4 +29,5 @@ def posed_picture(view: TextureView, to_frame: Floats) -> PosedPicture:
         load_depth=view.load_depth_m,
         name=view.name,
         tracked=view.tracked,
+        load_mask=view.load_mask,
     )

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.arrays import Bools, Bytes, Floats
 
 T = TypeVar("T")
 
@@ -25,6 +25,7 @@ class PosedPicture:
     load_depth     -> (H,W) float32 of the same field of view, 0 where unknown; None where there is no depth image
     name           of the photo in the capture, for messages
     tracked        whether the pose is a device's tracking, which errs by pixels
+    load_mask      -> (H,W) bool, where the object is, of the same field of view; None where no mask came with it
     """
 
     to_camera: Floats
@@ -34,6 +35,7 @@ class PosedPicture:
     load_depth: Callable[[], Floats] | None = None
     name: str = ""
     tracked: bool = False
+    load_mask: Callable[[], Bools] | None = None
 
     @property
     def eye(self) -> Floats:
@@ -44,7 +46,8 @@ class PosedPicture:
     def loaded(self) -> PosedPicture:
         """Return the same picture with its pixels in memory: it can be pickled."""
         depth = None if self.load_depth is None else partial(_same, self.load_depth())
-        return replace(self, load_rgb=partial(_same, self.load_rgb()), load_depth=depth)
+        mask = None if self.load_mask is None else partial(_same, self.load_mask())
+        return replace(self, load_rgb=partial(_same, self.load_rgb()), load_depth=depth, load_mask=mask)
 
     def depth(self) -> Floats:
         """Load the depth image (H,W); one pixel of 0, unknown, where there is none."""

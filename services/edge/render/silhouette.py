@@ -16,7 +16,7 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import Hits, RaycastingScene, pinhole
-from capture2vr.edge.render.sample_image import pixels_at, shrink_to
+from capture2vr.edge.render.sample_image import pixels_at, resize_mask, shrink_to
 
 LONGEST_PX = 480
 """Longer side of the pictures in which outlines are compared: a hole of 1 % of the picture is then 5 pixels wide."""
@@ -90,11 +90,14 @@ def outline_thing(
     certain: float = _CERTAIN,
     rounds: int = _ROUNDS,
 ) -> Bools:
-    """Find the thing in a photo (h,w): near the mesh's silhouette, without what is known to be something else.
+    """Find the thing in a photo (h,w): by the mask that came with the photo, else near the mesh's silhouette, without
+    what is known to be something else.
 
     certain  how far inside the mesh's outline the photo surely shows the thing, of the root of the silhouette's area
     rounds   of GrabCut
     """
+    if picture.load_mask is not None:
+        return resize_mask(picture.load_mask(), view.found.shape[::-1])
     places = picture.eye + view.own.reshape(-1, 1) * view.rays
     aside = (view.own > 0) & ~view.whole & (scene.longest > 0)
     aside[aside] = _far_from(places[aside.ravel()], mesh, _ASIDE * scene.longest)

@@ -45,6 +45,8 @@ def test_what_masks_hide_has_no_depth_and_what_they_show_has_it_as_before(tmp_pa
     truth, _ = trimesh.sample.sample_surface(trimesh.Trimesh(walk.thing.vertices, walk.thing.faces), 60_000, seed=0)
     covered = []
     for frame in to_depth(capture).frames:
+        assert frame.load_mask is not None
+        assert (frame.load_mask() == thing_seen(walk, frame.camera_to_world)).mean() > 0.99
         depth = frame.load_depth_m()
         away, _ = cKDTree(truth).query(captures.back_project(frame))
         assert np.quantile(away, 0.95) < 0.01

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -9,7 +12,7 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.render.silhouette import cast_pixels, outside_outlines
 from tests.support import surfaces
-from tests.support.photos.posed_pictures import photographs, printed
+from tests.support.photos.posed_pictures import photographs, printed, silhouette
 
 RIM = 0.03  # width: four pixels of the photos
 EYES = [(0.5, 0.2, 1.4), (-0.3, 0.4, 1.4), (0.1, -0.5, 1.3), (-0.4, -0.3, 1.5), (0.0, 0.0, 1.6)]
@@ -32,6 +35,18 @@ def test_a_rim_beside_the_thing_is_found(depth: bool) -> None:
     x = mesh.vertices[:, 0]
     assert outside[x > 0.5 + RIM / 2].mean() > 0.6
     assert not outside[x < 0.5 - RIM / 2].any()
+
+
+def test_masks_tell_a_rim_that_looks_like_the_thing() -> None:
+    mesh = sheet(0.5 + RIM)
+    photos = photographs(mesh, EYES)
+    assert not outside_outlines(mesh, photos).any()
+    masked = [
+        replace(photo, load_mask=partial(silhouette, THING, eye)) for photo, eye in zip(photos, EYES, strict=True)
+    ]
+    outside = outside_outlines(mesh, masked)
+    assert outside[mesh.vertices[:, 0] > 0.5 + RIM / 2].mean() > 0.6
+    assert not outside[mesh.vertices[:, 0] < 0.5 - RIM / 2].any()
 
 
 def test_a_thing_without_rims_keeps_everything() -> None:
