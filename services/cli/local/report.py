@@ -93,7 +93,7 @@ def report_page(
             *_stages(report["seconds"]),
             *_photos(report["capture"]["photos"]),
             *_unseen(report["capture"]["unseen"]),
-            *(f'<p class="warning">{escape(warning)}</p>' for warning in report["warnings"]),
+            *(f'<p class="warning">{escape(warning)}</p>' for warning in other_warnings(report)),
             "</html>\n",
         ]
     )
@@ -152,6 +152,12 @@ def grade_line(grade: Mapping[str, str]) -> str:
     """Return an asset's grade as one line: the word, then why and what to do."""
     why = f": {grade['because']}. {grade['advice']}" if grade["because"] else ""
     return f"{grade['level'].capitalize()}{why}"
+
+
+def other_warnings(report: Mapping[str, Any]) -> list[str]:
+    """Return a report's warnings without the one that says the grade, which stands on a line of its own."""
+    because = (report["quality"].get("grade") or {}).get("because")
+    return [warning for warning in report["warnings"] if not because or because not in warning]
 
 
 def _grade(grade: Mapping[str, str] | None) -> Iterator[str]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from capture2vr.cli.local.reference_mesh import read_mesh
-from capture2vr.cli.local.report import grade_line, report_page
+from capture2vr.cli.local.report import grade_line, other_warnings, report_page
 from capture2vr.cli.progress import console, warn
 from capture2vr.client.earlier_results import BUNDLE, PICTURES, PREVIEW, SOURCE, files_of_both, remove_earlier
 from capture2vr.edge.mesh.nouns import Mesh
@@ -150,6 +150,6 @@ def print_result(out: Path, report: dict[str, Any]) -> None:
             f"distance to the reference, after alignment: median {found['median']:.3%} of its size, 90th percentile "
             f"{found['p90']:.3%}; {found['complete']:.1%} of the reference is within 1 %"
         )
-    for warning in report["warnings"]:
+    for warning in other_warnings(report):
         warn(warning)
     console.print(f"report: {out / 'report.html'}; all figures: {out / 'report.json'}")

@@ -216,10 +216,13 @@ def test_the_grade_comes_first_on_the_page_and_on_the_terminal(
 ) -> None:
     results = Results(tmp_path / "out", "shirt")
     grade = {"level": "shoot again", "because": "the surface is in <shreds>", "advice": "Give it light."}
-    results.write(bundle("preview", 0.003, grade=grade))
+    made = bundle("preview", 0.003, grade=grade)
+    made.manifest["warnings"].append("Shoot it again: the surface is in <shreds>. Give it light.")
+    results.write(made)
     page = (results.out / "report.html").read_text()
     line = "<b>Shoot again: the surface is in &lt;shreds&gt;. Give it light.</b>"
     assert page.index(line) < page.index("<table>")
+    assert "Shoot it again" not in page, "once is enough"
     print_result(results.out, results.report)
     assert capsys.readouterr().err.startswith("Shoot again: the surface is in <shreds>. Give it light.")
 
