@@ -17,7 +17,7 @@ from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.coverage import unseen_sides
 from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
 from capture2vr.edge.fusion.fuse_scene import fuse_scene
-from capture2vr.edge.fusion.orbit import aimed_at, require_aim, sees_a_scene
+from capture2vr.edge.fusion.orbit import require_aim, sees_a_scene, sure_aim
 from capture2vr.edge.fusion.texture_views import (
     hold_out_frames,
     select_scene_views,
@@ -248,7 +248,7 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, fill: F
     try:
         before = part_of(tick, 0, _CLOSING)
         cameras, turntable = fused.cameras, capture.turntable
-        aim = aimed_at(capture.frames) if has_stereo_depth(capture.frames) else None
+        aim = sure_aim(capture.frames)
         where = fused.aim if aim is None else aim
         masked = any(frame.load_mask for frame in capture.frames)
         isolated = isolate_object(points, aim=where, cameras=cameras, turntable=turntable, masked=masked, tick=before)

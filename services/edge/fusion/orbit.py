@@ -61,6 +61,12 @@ def aimed_at(frames: Sequence[Frame]) -> Floats | None:
     return point if meet else None
 
 
+def sure_aim(frames: Sequence[Frame]) -> Floats | None:
+    """Return the point (3,) that photos aim at, where they turn far enough around it to tell how far away it is."""
+    nearly_parallel = np.linalg.norm(_eyes_and_axes(frames)[1].mean(axis=0)) > _PARALLEL
+    return None if nearly_parallel or not has_stereo_depth(frames) else aimed_at(frames)
+
+
 def require_aim(thing: Floats, aim: Floats, eyes: Floats) -> None:
     """Raise CaptureError CAPTURE_NOTHING_LEFT where points (N,3) that were cut out are not what cameras (M,3) aim at.
 
