@@ -6,6 +6,7 @@
 3. close   a closed surface is fitted to the points, out of free space and over the plane that the thing stands on
                                                                                               (solid.py)
 4. lay     it is laid on the points                                                           (lay_on_points.py)
+           Where many do not lie on it, both sides of a sheet were seen, and nothing is missing
 5. choose  of its parts without points those are taken that are missing surface and no true openings: where the thing
            stood, and holes that the surface around goes on over. A sleeve's end or the mouth of a cup is neither
                                                                                               (loose_parts.py)
@@ -42,7 +43,8 @@ _MOST_BESIDE = 0.2
 """Share of the points beside the outlines from which on these are those of something else, and are not used."""
 _PROBES, _LIES_ON, _NEARLY_ALL = 5_000, 2.0, 0.9
 """Points that are asked whether they lie on the closed surface, the spacings within which they do, and the share of
-them that must in a thing without true openings."""
+them that must: of fruit, statue, plush toy and dress 99 % do, of a broken shell that was seen from both sides 66 %. To
+such a sheet no surface belongs that would close it."""
 _FRINGE_NEAR, _FRINGE_OFF = 12.0, 0.5
 """Spacings: points so near to inferred ones and so far off the closed surface are a fringe, depth that was matched
 across an outline."""
@@ -98,9 +100,10 @@ def infer_missing(
     local = point_spacing(xyz, tree)
     spacing = float(np.median(local))
     solid = lay_on_points(solid, kept.xyz, cKDTree(kept.xyz), spacing, cell)
+    if not _lie_on(xyz, solid, spacing):
+        return nothing
     parts = LooseParts.without_points(solid, tree, local)
     chosen, closed = parts.missing(support, cell, spacing, fill)
-    closed = closed and _lie_on(xyz, solid, spacing)
     if not chosen.any():
         return replace(nothing, closed=closed)
     fringe = beside | _fringe(solid, chosen, xyz, spacing)

@@ -118,6 +118,18 @@ def test_a_sheet_seen_from_both_sides_is_no_closed_thing() -> None:
 
 
 @pytest.mark.slow
+def test_a_broken_pipe_that_stands_on_a_table_stays_as_it_is() -> None:
+    """Its inside is seen from one side alone, and what cannot be seen in it stands on the table."""
+    pipe = trimesh.creation.cylinder(0.3, 0.8, sections=64).subdivide_to_size(0.08)
+    x, y, _ = pipe.triangles_center.T
+    pipe.update_faces((np.abs(pipe.face_normals[:, 2]) < 0.5) & (np.abs(np.arctan2(y, x)) > 0.9))
+    missing = seen(pipe, height=0.0)
+    assert not missing.closed
+    assert not missing.fringe.any()
+    assert len(missing.xyz) == 0
+
+
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(st.floats(0.0, 0.5), st.floats(0.6, 1.4))
 def test_nothing_is_inferred_where_photos_look_through(height: float, stretch: float) -> None:
