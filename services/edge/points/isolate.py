@@ -90,7 +90,6 @@ def isolate_object(
     aim (3,): the point that the cameras looked at, capture frame; None: the middle of the points. cameras (M,3)
     positions. turntable: the points have only the object and perhaps the plate that turns with it, wider than it.
     masked: masks that came with the photos have left out what is around the object.
-
     Up becomes the normal of that plane, if it is nearly level and nothing surer contradicts it. For a flat object
     that lies on the plane, the plane stays, with a warning.
 
@@ -106,8 +105,7 @@ def isolate_object(
         near = _near_mask(xyz, middle, eyes)
         plane = _supporting_plane(xyz[near], points.up, eyes)
     tick(0.93)
-    none = "" if turntable or masked else say("no_table_floor_found_below")
-    cut = _cut_off(plane, xyz, near, middle) if plane else _Cut(_object_mask(xyz, near, middle), None, none)
+    cut = _cut_off(plane, xyz, near, middle, silent=turntable or masked)
     tick(1.0)
     if cut.thing.sum() < _MIN_POINTS:
         raise CaptureError(
@@ -131,8 +129,10 @@ def isolate_object(
     return IsolatedObject(thing, None if cut.plane is None else cut.plane.moved(origin))
 
 
-def _cut_off(plane: Plane, xyz: Floats, near: Bools, middle: Floats | None) -> _Cut:
-    """Cut the object off the plane that it stands on; of one that is too flat for that, the plane stays a part."""
+def _cut_off(plane: Plane | None, xyz: Floats, near: Bools, middle: Floats | None, *, silent: bool) -> _Cut:
+    """Cut the object off its plane; of one that is too flat for that, the plane stays. silent: none is expected."""
+    if plane is None:
+        return _Cut(_object_mask(xyz, near, middle), None, "" if silent else say("no_table_floor_found_below"))
     half = _half_slab(plane)
     ground = Ground.about(plane, xyz[near], half, _BEND_SLABS * half)
     thing = _object_mask(xyz, near & (ground.height(xyz) > half), middle)
