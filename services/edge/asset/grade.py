@@ -24,7 +24,7 @@ _LACE = (0.02, 0.05, 0.2)
 _COVER = (0.9, 0.8, 0.6)
 """Least share of the object in a photo where the surface is."""
 _RAGGED = (8.0, 15.0, 25.0)
-"""Most border over the root of the area. A dress has 6, a glass bottle of crumpled foil 39."""
+"""Most border over the root of an object's area. A dress has 6, a glass bottle of crumpled foil 39."""
 _MADE_UP = (0.5, 0.6, 0.75)
 """Most of the surface that nobody saw. Fruit that was shot from above has .43."""
 
@@ -60,7 +60,7 @@ def grade_asset(certificate: Certificate, check: PhotoCheck, filled: float) -> G
     depths = [each.depth for each in figures if each.depth is not None]
     depth = sum(depths) / len(depths) if depths else 0.0
     cover = sum(each.cover for each in figures) / len(figures)
-    lace, ragged = worst.figures.lace, certificate.border_over_root
+    lace, ragged = worst.figures.lace, 0.0 if check.scene else certificate.border_over_root
     found = (
         (
             _above(lace, _LACE),

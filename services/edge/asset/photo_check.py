@@ -62,10 +62,12 @@ class PhotoCheck:
 
     surface  with those that were held out; empty where the capture could spare none
     own      then with a few of those that it was made from
+    scene    whether the surroundings are a part of it, whose borders are where photos end
     """
 
     surface: tuple[SurfaceCheck, ...] = ()
     own: tuple[SurfaceCheck, ...] = ()
+    scene: bool = False
 
     @property
     def figures(self) -> PhotoFigures | None:
@@ -92,10 +94,11 @@ class PhotoCheck:
 def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> PhotoCheck:
     """Compare a mesh in the unit frame with the held-out photos of its points, else with a few of the others."""
     held_out, seen_by = in_unit_frame(points.held_out_views, unit), in_unit_frame(points.texture_views, unit)
+    scene = points.cut is not None and points.cut.kept == "scene"
     if held_out:
-        return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)))
+        return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)), scene=scene)
     few = seen_by[:: max(1, -(-len(seen_by) // _MOST_OWN))]
-    return PhotoCheck(own=tuple(check_surface(mesh_unit, few, seen_by)))
+    return PhotoCheck(own=tuple(check_surface(mesh_unit, few, seen_by)), scene=scene)
 
 
 def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> Mesh:

@@ -23,10 +23,12 @@ def photo(name: str = "a.jpg", **figures: float | None) -> SurfaceCheck:
     return SurfaceCheck(picture, *[nothing] * 6, replace(FAULTLESS, **figures))  # type: ignore[arg-type]
 
 
-def graded(*photos: SurfaceCheck, border: float = 0.0, filled: float = 0.0, own: bool = False) -> Grade:
+def graded(
+    *photos: SurfaceCheck, border: float = 0.0, filled: float = 0.0, own: bool = False, scene: bool = False
+) -> Grade:
     distances = np.zeros(1)
     certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 2 * border, 1, 0, 1.0, 0.0, distances)
-    check = PhotoCheck(own=photos) if own else PhotoCheck(photos)
+    check = PhotoCheck(own=photos, scene=scene) if own else PhotoCheck(photos, scene=scene)
     grade = grade_asset(certificate, check, filled)
     assert grade is not None
     return grade
@@ -56,6 +58,7 @@ def test_each_figure_alone_lowers_the_grade_with_its_cause(worse: dict[str, tupl
 def test_shreds_and_what_was_made_up_count_too() -> None:
     assert graded(photo(), border=39.0).level == "shoot again"
     assert graded(photo(), border=6.5).level == "good", "a dress"
+    assert graded(photo(), border=39.0, scene=True).level == "good", "a room ends where its photos do"
     assert graded(photo(), filled=0.44).level == "good", "fruit whose undersides nobody saw"
     assert graded(photo(), filled=0.8).level == "shoot again"
 
