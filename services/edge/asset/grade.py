@@ -55,11 +55,11 @@ def grade_asset(certificate: Certificate, check: PhotoCheck, filled: float) -> G
     checks = check.surface or check.own
     if not checks:
         return None
-    figures = [each.figures for each in checks]
     worst = max(checks, key=lambda each: each.figures.lace)
-    depths = [each.depth for each in figures if each.depth is not None]
-    depth = sum(depths) / len(depths) if depths else 0.0
-    cover = sum(each.cover for each in figures) / len(figures)
+    # A sensor's depth has noise of its own, which says nothing about the surface.
+    matched = [each.figures for each in checks if not each.picture.tracked]
+    depth = _mean([each.depth for each in matched if each.depth is not None])
+    cover = _mean([each.figures.cover for each in checks])
     lace, ragged = worst.figures.lace, 0.0 if check.scene else certificate.border_over_root
     found = (
         (
@@ -74,6 +74,11 @@ def grade_asset(certificate: Certificate, check: PhotoCheck, filled: float) -> G
     )
     level, because, advice = max(found, key=lambda each: each[0])
     return Grade(_LEVELS[level], because if level else "", say(advice) if level else "")
+
+
+def _mean(shares: list[float]) -> float:
+    """The mean of shares; 1 without any."""
+    return sum(shares) / len(shares) if shares else 1.0
 
 
 def _above(value: float, limits: tuple[float, ...]) -> int:

@@ -63,6 +63,12 @@ def test_shreds_and_what_was_made_up_count_too() -> None:
     assert graded(photo(), filled=0.8).level == "shoot again"
 
 
+def test_a_sensors_own_noise_is_no_fault_of_the_surface() -> None:
+    stereo = photo(depth=0.4)
+    sensor = replace(stereo, picture=replace(stereo.picture, tracked=True))
+    assert [graded(each).level for each in (stereo, sensor)] == ["shoot again", "good"]
+
+
 def test_the_worst_photo_counts_and_is_named() -> None:
     grade = graded(photo("a.jpg"), photo("dark side.jpg", lace=0.06), photo("c.jpg"))
     assert grade.level == "incomplete"
