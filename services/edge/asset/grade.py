@@ -7,11 +7,13 @@ of a furry head whose mean share of holes was 2 %, the dark side had 6 %.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from capture2vr.edge.asset.photo_check import PhotoCheck
 from capture2vr.edge.certificate import Certificate
+from capture2vr.edge.render.photo_comparison import SurfaceCheck
 from capture2vr.sentences.sentence import say
 
 Level = Literal["good", "usable", "incomplete", "shoot again"]
@@ -55,25 +57,26 @@ def grade_asset(certificate: Certificate, check: PhotoCheck, filled: float) -> G
     checks = check.surface or check.own
     if not checks:
         return None
+    level, because, advice = max(_faults(certificate, checks, filled, check.scene), key=lambda each: each[0])
+    return Grade(_LEVELS[level], because if level else "", say(advice) if level else "")
+
+
+def _faults(
+    certificate: Certificate, checks: Sequence[SurfaceCheck], filled: float, scene: bool
+) -> Iterator[tuple[int, str, str]]:
+    """Yield how bad each figure is, 0 to 3, with the cause as a sentence and the code of the advice."""
     worst = max(checks, key=lambda each: each.figures.lace)
+    lace, photo = worst.figures.lace, worst.picture.name
+    yield _above(lace, _LACE), say("holes_where_photo_shows_object", share=lace, photo=photo), "again_near"
     # A sensor's depth has noise of its own, which says nothing about the surface.
     matched = [each.figures for each in checks if not each.picture.tracked]
     depth = _mean([each.depth for each in matched if each.depth is not None])
+    yield _above(-depth, tuple(-each for each in _DEPTH)), say("depth_of_photos_disagrees", share=depth), "again_matt"
     cover = _mean([each.figures.cover for each in checks])
-    lace, ragged = worst.figures.lace, 0.0 if check.scene else certificate.border_over_root
-    found = (
-        (
-            _above(lace, _LACE),
-            say("holes_where_photo_shows_object", share=lace, photo=worst.picture.name),
-            "again_near",
-        ),
-        (_above(-depth, tuple(-each for each in _DEPTH)), say("depth_of_photos_disagrees", share=depth), "again_matt"),
-        (_above(-cover, tuple(-each for each in _COVER)), say("object_not_covered", share=cover), "again_around"),
-        (_above(ragged, _RAGGED), say("surface_is_ragged", border=ragged), "again_matt"),
-        (_above(filled, _MADE_UP), say("much_was_filled_in", share=filled), "again_around"),
-    )
-    level, because, advice = max(found, key=lambda each: each[0])
-    return Grade(_LEVELS[level], because if level else "", say(advice) if level else "")
+    yield _above(-cover, tuple(-each for each in _COVER)), say("object_not_covered", share=cover), "again_around"
+    ragged = 0.0 if scene else certificate.border_over_root
+    yield _above(ragged, _RAGGED), say("surface_is_ragged", border=ragged), "again_matt"
+    yield _above(filled, _MADE_UP), say("much_was_filled_in", share=filled), "again_around"
 
 
 def _mean(shares: list[float]) -> float:
