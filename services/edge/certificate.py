@@ -182,7 +182,7 @@ def certify(
         boundary_length=_length(mesh_unit, border),
         boundary_loops=component_count(border),
         non_manifold_edges=edges.crowded_count,
-        fringe=fringe(mesh_unit),
+        fringe=fringe(mesh_unit, edges.border(mesh_unit.faces)),
         largest_hole=largest_hole(mesh_unit),
         distances=away,
         pieces=pieces,

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from capture2vr.edge.asset.photo_check import PhotoCheck
 from capture2vr.edge.certificate import Certificate
-from capture2vr.edge.render.photo_comparison import SurfaceCheck
+from capture2vr.edge.render.photo_comparison import SurfaceCheck, mean_figures, worst_photo
 from capture2vr.sentences.sentence import say
 
 Level = Literal["good", "usable", "incomplete", "shoot again"]
@@ -65,23 +65,18 @@ def _faults(
     certificate: Certificate, checks: Sequence[SurfaceCheck], filled: float, scene: bool
 ) -> Iterator[tuple[int, str, str]]:
     """Yield how bad each figure is, 0 to 3, with the cause as a sentence and the code of the advice."""
-    worst = max(checks, key=lambda each: each.figures.lace)
+    worst = worst_photo(checks)
     lace, photo = worst.figures.lace, worst.picture.name
     yield _above(lace, _LACE), say("holes_where_photo_shows_object", share=lace, photo=photo), "again_near"
     # A sensor's depth has noise of its own, which says nothing about the surface.
-    matched = [each.figures for each in checks if not each.picture.tracked]
-    depth = _mean([each.depth for each in matched if each.depth is not None])
+    matched = mean_figures([each for each in checks if not each.picture.tracked])
+    depth = 1.0 if matched is None or matched.depth is None else matched.depth
     yield _above(-depth, tuple(-each for each in _DEPTH)), say("depth_of_photos_disagrees", share=depth), "again_matt"
-    cover = _mean([each.figures.cover for each in checks])
+    cover = sum(each.figures.cover for each in checks) / len(checks)
     yield _above(-cover, tuple(-each for each in _COVER)), say("object_not_covered", share=cover), "again_around"
     ragged = 0.0 if scene else certificate.border_over_root
     yield _above(ragged, _RAGGED), say("surface_is_ragged", border=ragged), "again_matt"
     yield _above(filled, _MADE_UP), say("much_was_filled_in", share=filled), "again_around"
-
-
-def _mean(shares: list[float]) -> float:
-    """The mean of shares; 1 without any."""
-    return sum(shares) / len(shares) if shares else 1.0
 
 
 def _above(value: float, limits: tuple[float, ...]) -> int:

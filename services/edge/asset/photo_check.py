@@ -26,6 +26,7 @@ from capture2vr.edge.render.photo_comparison import (
     check_likeness,
     check_surface,
     mean_figures,
+    worst_photo,
 )
 from capture2vr.edge.render.piece_support import piece_support
 from capture2vr.edge.render.place_views import in_unit_frame, posed_picture
@@ -81,7 +82,7 @@ class PhotoCheck:
             return ()
         found = []
         if figures.lace > _MANY_HOLES:
-            worst = max(self.surface, key=lambda check: check.figures.lace)
+            worst = worst_photo(self.surface)
             found.append(say("what_your_photos_show_thing", share=figures.lace, photo=worst.picture.name))
         if figures.inside_out > _MUCH_INSIDE:
             found.append(say("what_seen_inside_thing_through", share=figures.inside_out))
@@ -110,16 +111,16 @@ def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> M
     step = max(1, -(-len(untracked) // _MOST_OUTLINES))
     outside = outside_outlines(mesh_unit, in_unit_frame(untracked[::step], unit))
     # Outlines were asked when points were inferred: a surface that these close has no rims.
-    return trim_rims(mesh_unit, outside & ~_near_inferred(mesh_unit, points, unit))
+    if points.inferred is not None and outside.any():
+        outside[outside] = ~_near_inferred(mesh_unit.vertices[outside], points, unit)
+    return trim_rims(mesh_unit, outside)
 
 
-def _near_inferred(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> Bools:
-    """Find the vertices (V,) of a mesh in the unit frame that are near inferred points, which close a surface."""
-    if points.inferred is None:
-        return np.zeros(len(mesh_unit.vertices), bool)
-    reach = _CLOSED * float(np.median(point_spacing(unit.to_unit(points.xyz))))
-    inferred = cKDTree(unit.to_unit(points.xyz[points.inferred]))
-    near: Bools = np.isfinite(inferred.query(mesh_unit.vertices, distance_upper_bound=reach, workers=-1)[0])
+def _near_inferred(places: Floats, points: Points, unit: UnitFrame) -> Bools:
+    """Find the places (N,3) in the unit frame that are near inferred points, which close a surface."""
+    xyz = unit.to_unit(points.xyz)
+    reach = _CLOSED * float(np.median(point_spacing(xyz)))
+    near: Bools = np.isfinite(cKDTree(xyz[points.inferred]).query(places, distance_upper_bound=reach, workers=-1)[0])
     return near
 
 

@@ -60,9 +60,8 @@ class Carving:
         for picture, outline in zip(self.pictures, self.outlines, strict=False):
             if outline is None:
                 continue
-            at, z = picture.project(places)
-            shown = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
-            is_beside, is_hidden = (pixels_at(each, at[shown]) > 0 for each in (outline.beside, outline.hidden))
+            shown, at, _ = picture.in_view(places)
+            is_beside, is_hidden = (pixels_at(each, at) > 0 for each in (outline.beside, outline.hidden))
             beside[shown] += is_beside & ~is_hidden
             on[shown] += ~is_beside
         return (beside >= _FEWEST) & (beside > _BESIDE * (beside + on))
@@ -71,11 +70,10 @@ class Carving:
         """(N,) whether more photos see past a place (N,3) than see something before it."""
         past, before = (np.zeros(len(places), np.int16) for _ in range(2))
         for picture in self.pictures:
-            at, z = picture.project(places)
-            shown = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
-            found = pixels_at(picture.depth(), at[shown])
-            past[shown] += found > (1 + _BEYOND) * z[shown]
-            before[shown] += (found > 0) & (found < (1 - _BEYOND) * z[shown])
+            shown, at, z = picture.in_view(places)
+            found = pixels_at(picture.depth(), at)
+            past[shown] += found > (1 + _BEYOND) * z
+            before[shown] += (found > 0) & (found < (1 - _BEYOND) * z)
         return (past >= _FEWEST) & (past > before)
 
 

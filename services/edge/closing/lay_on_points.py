@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array, eye_array
+from scipy.sparse import diags_array
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Floats
-from capture2vr.edge.mesh.edges import edges_of
+from capture2vr.edge.mesh.edges import edges_of, neighbour_laplacian
 from capture2vr.edge.mesh.normals import vertex_normals
 from capture2vr.edge.mesh.nouns import Mesh
 
@@ -33,17 +33,7 @@ def lay_on_points(mesh: Mesh, xyz: Floats, tree: cKDTree, spacing: float, cell: 
     total = weight.sum(axis=1)
     wanted = (weight * off).sum(axis=1) / np.maximum(total, 1e-9)
     known = np.minimum(total / _SURE, 1)
-    bend = laplacian(mesh)
+    bend = neighbour_laplacian(edges_of(mesh.faces).ends, len(mesh.vertices))
     matrix = (diags_array(known + 1e-6) + _STIFF * (bend.T @ bend)).tocsr()
     offset, _ = cg(matrix, known * wanted, rtol=_EXACT, maxiter=_STEPS, M=diags_array(1 / matrix.diagonal()))
     return Mesh(mesh.vertices + offset[:, None] * normals, mesh.faces)
-
-
-def laplacian(mesh: Mesh) -> csr_array:
-    """Matrix (V,V): a vertex's value less the mean of its neighbours'."""
-    count = len(mesh.vertices)
-    ends = edges_of(mesh.faces).ends
-    ends = np.concatenate([ends, ends[:, ::-1]])
-    links = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
-    mean = diags_array(1 / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)) @ links
-    return (eye_array(count) - mean).tocsr()

@@ -43,10 +43,9 @@ def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) 
     normal = np.linalg.eigh(np.matmul(relative.transpose(0, 2, 1), relative))[1][:, :, 0]
     towards, seen = np.zeros(len(xyz)), np.zeros(len(xyz))
     for picture in pictures:
-        at, z = picture.project(xyz)
-        inside = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
-        found = pixels_at(picture.depth(), at[inside])
-        inside = inside[(found > 0) & (np.abs(found - z[inside]) < _SAME * z[inside])]
+        inside, at, z = picture.in_view(xyz)
+        found = pixels_at(picture.depth(), at)
+        inside = inside[(found > 0) & (np.abs(found - z) < _SAME * z)]
         ray = picture.eye - xyz[inside]
         cosine = np.einsum("nx,nx->n", ray, normal[inside]) / np.maximum(np.linalg.norm(ray, axis=1), 1e-30)
         share = np.clip(cosine / _GRAZING, -1, 1)

@@ -8,7 +8,7 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats
-from capture2vr.edge.closing.lay_on_points import laplacian
+from capture2vr.edge.mesh.edges import edges_of, neighbour_laplacian
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.sampling import sample
@@ -55,7 +55,7 @@ def _spread_colours(mesh: Mesh, chosen: Bools, tree: cKDTree, light: Floats) -> 
     spread: Floats = light[nearest].mean(axis=1)
     if unknown.all() or not unknown.any():
         return spread
-    matrix = laplacian(mesh)
+    matrix = neighbour_laplacian(edges_of(mesh.faces).ends, len(mesh.vertices))
     known = np.flatnonzero(~unknown)
     inner = np.flatnonzero(unknown)
     square = matrix[inner][:, inner].tocsr()

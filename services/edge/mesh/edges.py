@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array, diags_array
 
 from capture2vr.edge.arrays import Ints
 
@@ -95,6 +95,14 @@ def border_loops(faces: Ints, border: Ints | None = None) -> list[Ints]:
             here, last = (b if a == last else a), here
         loops.append(np.array(loop))
     return loops
+
+
+def neighbour_laplacian(ends: Ints, count: int) -> csr_array:
+    """Matrix (V,V) of undirected edges (E,2) between `count` vertices: a value less the mean of its neighbours'."""
+    both = np.concatenate([ends, ends[:, ::-1]])
+    links = coo_array((np.ones(len(both)), both.T), shape=(count, count)).tocsr()
+    mean = diags_array(1 / np.maximum(links.sum(axis=1), 1)) @ links
+    return (diags_array(np.ones(count)) - mean).tocsr()
 
 
 def next_half(half: Ints) -> Ints:

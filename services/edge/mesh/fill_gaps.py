@@ -16,12 +16,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick
-from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of
+from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of, neighbour_laplacian
 from capture2vr.edge.mesh.holes import edges_between, triangulate_loop
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
@@ -287,10 +286,7 @@ def _fair(mesh: Mesh, first: int) -> Floats:
     place = np.full(count, -1)
     place[index] = np.arange(len(index))
     ends = place[edges_of(mesh.faces[near[mesh.faces].all(axis=1)]).ends]
-    ends = np.concatenate([ends, ends[:, ::-1]])
-    links: csr_array = coo_array((np.ones(len(ends)), ends.T), shape=(len(index),) * 2).tocsr()
-    mean = diags_array(1 / np.maximum(links.sum(axis=1), 1)) @ links
-    laplacian = (diags_array(np.ones(len(index))) - mean).tocsr()
+    laplacian = neighbour_laplacian(ends, len(index))
     bilaplacian = (laplacian @ laplacian).tocsr()
     free, fixed = moved[index], ~moved[index]
     right = -(bilaplacian[free][:, fixed] @ mesh.vertices[index[fixed]])

@@ -78,9 +78,8 @@ def ask_views(pictures: Sequence[PosedPicture], surface: ColouredSurface | None 
 def _look(picture: PosedPicture, places: Floats, normals: Floats) -> tuple[Ints, Bools, Bools, Bools]:
     """Return the places (M,) in a picture, whether it sees past each, whether it sees surface there, and whether it
     looks at it and knows nothing."""
-    at, z = picture.project(places)
-    index = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
-    found, z = pixels_at(picture.depth(), at[index]), z[index]
+    index, at, z = picture.in_view(places)
+    found = pixels_at(picture.depth(), at)
     towards = picture.eye - places[index]
     # The sign of a normal says nothing on an open surface.
     cosine = np.abs(np.einsum("nx,nx->n", towards, normals[index])) / np.linalg.norm(towards, axis=1)
@@ -95,10 +94,9 @@ def _shows_background(picture: PosedPicture, places: Floats, near: Ints, surface
 
     rgb = shrink_to(picture.load_rgb(), _LONGEST_PX)
     size = rgb.shape[1::-1]
-    at, z = picture.project(surface.xyz)
+    _, at, _ = picture.in_view(surface.xyz)
     on = np.zeros(rgb.shape[:2], np.uint8)
-    shown = (z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0)
-    column, row = np.minimum(at[shown] * size, np.array(size) - 1).astype(np.int64).T
+    column, row = np.minimum(at * size, np.array(size) - 1).astype(np.int64).T
     on[row, column] = 1
     background = rgb[cv2.dilate(on, np.ones((_SILHOUETTE_PX,) * 2, np.uint8)) == 0].astype(np.float32)
     if len(background) < _LEAST_BACKGROUND * on.size:

@@ -135,11 +135,11 @@ def mean_figures(checks: Sequence[SurfaceCheck], likeness: Sequence[LikenessChec
         psnr=_mean_of_known([pair.psnr for pair in alike]),
         ssim=_mean_of_known([pair.ssim for pair in alike]),
         sharp=_mean_of_known([pair.sharp for pair in alike]),
-        worst_lace=round(_worst(checks).figures.lace, 5),
+        worst_lace=round(worst_photo(checks).figures.lace, 5),
     )
 
 
-def _worst(checks: Sequence[SurfaceCheck]) -> SurfaceCheck:
+def worst_photo(checks: Sequence[SurfaceCheck]) -> SurfaceCheck:
     """Return the check of the photo that shows most holes."""
     return max(checks, key=lambda check: check.figures.lace)
 

@@ -66,11 +66,9 @@ def _places(split: SplitMesh, number: int, rng: np.random.Generator) -> Floats:
 
 def _visible(picture: PosedPicture, places: Floats) -> tuple[Ints, Floats]:
     """Return the places (M,) that a picture's depth image confirms, and their positions (M,2) in it."""
-    at, z = picture.project(places)
-    index = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
-    found = pixels_at(picture.depth(), at[index])
-    index = index[np.abs(found - z[index]) < _ALIKE * z[index]]
-    return index, at[index]
+    index, at, z = picture.in_view(places)
+    confirmed = np.abs(pixels_at(picture.depth(), at) - z) < _ALIKE * z
+    return index[confirmed], at[confirmed]
 
 
 def _unlike(seen: Floats, total: Floats, squares: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
 
 T = TypeVar("T")
 
@@ -52,6 +52,12 @@ class PosedPicture:
     def depth(self) -> Floats:
         """Load the depth image (H,W); one pixel of 0, unknown, where there is none."""
         return np.zeros((1, 1), np.float32) if self.load_depth is None else self.load_depth()
+
+    def in_view(self, places: Floats) -> tuple[Ints, Floats, Floats]:
+        """Find the places (N,3) that lie in the picture: indices (M,), positions (M,2) and depth (M,), as in `project`."""
+        at, z = self.project(places)
+        index = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
+        return index, at[index], z[index]
 
     def project(self, places: Floats) -> tuple[Floats, Floats]:
         """Project places (N,3): positions (N,2) in shares of the photo's sides, and depth (N,), ≤ 0 behind the camera.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from capture2vr.edge.arrays import Floats
-from capture2vr.edge.mesh.edges import border_edges, border_loops
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.mesh.edges import border_loops
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.rays import RaycastingScene
@@ -53,11 +53,14 @@ def _around(count: int) -> Floats:
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), rise], axis=1)
 
 
-def fringe(mesh: Mesh) -> float:
-    """Return how many times as long a mesh's borders are as when they are smoothed: 1 of clean cuts and without any."""
+def fringe(mesh: Mesh, border: Ints) -> float:
+    """Return how many times as long a mesh's borders are as when they are smoothed: 1 of clean cuts and without any.
+
+    border  the mesh's `border_edges`
+    """
     longest = float(np.ptp(mesh.vertices, axis=0).max())
     ragged = smooth = 0.0
-    for loop in border_loops(mesh.faces, border_edges(mesh.faces)):
+    for loop in border_loops(mesh.faces, border):
         places = mesh.vertices[loop]
         length = _length(places)
         if length < _LEAST_BORDER * longest:

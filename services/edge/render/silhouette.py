@@ -127,10 +127,10 @@ def _vote(picture: PosedPicture, mesh: Mesh, scene: RaycastingScene) -> tuple[In
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     thing = outline_thing(view, picture, mesh, scene, certain=_CERTAIN_OF_RIM, rounds=_ROUNDS_OF_RIM)
     near = view.found & ~_core(view, _CERTAIN_OF_RIM)
-    at, z = picture.project(mesh.vertices)
-    shown = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
-    shown = shown[np.abs(z[shown] - pixels_at(view.z, at[shown])) < _SAME * z[shown]]
-    beside, on = (pixels_at(mask, at[shown]) for mask in (near & beyond(thing), near & thing))
+    shown, at, z = picture.in_view(mesh.vertices)
+    same = np.abs(z - pixels_at(view.z, at)) < _SAME * z
+    shown, at = shown[same], at[same]
+    beside, on = (pixels_at(mask, at) for mask in (near & beyond(thing), near & thing))
     return shown[beside > 0], shown[on > 0]
 
 
