@@ -54,7 +54,7 @@ class PosedPicture:
         return np.zeros((1, 1), np.float32) if self.load_depth is None else self.load_depth()
 
     def in_view(self, places: Floats) -> tuple[Ints, Floats, Floats]:
-        """Find the places (N,3) that lie in the picture: indices (M,), positions (M,2) and depth (M,), as in `project`."""
+        """Find the places (N,3) in the picture: their indices (M,), positions (M,2) and depth (M,), as in `project`."""
         at, z = self.project(places)
         index = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
         return index, at[index], z[index]
