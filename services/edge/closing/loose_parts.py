@@ -19,7 +19,7 @@ _LOOSE = 2.5
 """Spacings from the next point from which on a part of the surface has none."""
 _LEAST = 20.0
 """Squared spacings: smaller parts are chance, and extraction closes them."""
-_RESTS, _RESTS_SHARE = 1.5, 0.02
+_RESTS, _RESTS_SHARE = 3.0, 0.02
 """Cells from the plane within which a part rests on it, and the share of the part that must."""
 _UNDER = 0.1
 """Least mean cosine between the normals around such a part and its own where the surface turns under the thing."""

@@ -7,6 +7,8 @@ of the background.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats
@@ -24,24 +26,41 @@ _LEAST_SPREAD = 5.0
 """Grey levels, 1 sigma, that noise and compression give to a surface of one colour."""
 _SURE = 6.0
 """Twice the logarithm of the likelihood ratio, background to object, from which on a pixel is background: 20 : 1."""
+_OTHER = 12.0
+"""Squared distance, in variances of the background's colours, from which on a pixel does not show the background."""
+_ROUNDS = 3
+"""Most rounds: what is removed in one is background in the next."""
 _OPEN = 0.01
 """Least share of the picture of a region without depth that is background; smaller ones are untextured patches on the
 object."""
 
 
 def remove_rim(depth: Floats, rgb: Bytes) -> Floats:
-    """Set depth (H,W) to 0 at outlines where the picture rgb (H,W,3) shows the background's colour; 0 is unknown."""
+    """Set depth (H,W) to 0 at outlines where the picture rgb (H,W,3) shows the background's colour; 0 is unknown.
+
+    A surface that is too thin for a core, such as a stem, is known by the colours there that the background lacks.
+    """
+    colour = rgb.astype(np.float32)
+    for _ in range(_ROUNDS):
+        rim = _rim(depth, colour)
+        if not rim.any():
+            break
+        depth = np.where(rim, np.float32(0), depth)
+    return depth
+
+
+def _rim(depth: Floats, colour: Floats) -> Bools:
+    """Find the pixels (H,W) at outlines that have the background's colour (H,W,3)."""
     import cv2
 
     near = _nearest_around(np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0))
     thing = (depth > 0) & (depth * near < 1 + _STEP)
-    beyond = ~thing & _large_regions(~thing)
     core = cv2.erode(thing.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8), borderValue=1) > 0
-    colour = rgb.astype(np.float32)
-    unlike_thing, thing_known = _unlikeness(colour, core)
-    unlike_beyond, beyond_known = _unlikeness(colour, beyond)
-    rim = thing & ~core & thing_known & beyond_known & (unlike_thing > unlike_beyond + _SURE)
-    return np.where(rim, np.float32(0), depth)
+    beyond = _Colours.of(colour, ~thing & _large_regions(~thing))
+    alike = beyond.known & (beyond.distance < _OTHER)
+    thin = thing & beyond.known & (_sum_around(core.astype(np.float32)) < _FEWEST)
+    inside = _Colours.of(colour, core | (thin & ~alike))
+    return thing & ~core & alike & inside.known & (inside.unlikeness > beyond.unlikeness + _SURE)
 
 
 def _nearest_around(inverse: Floats) -> Floats:
@@ -61,19 +80,33 @@ def _large_regions(mask: Bools) -> Bools:
     return np.asarray(large[label])
 
 
-def _unlikeness(colour: Floats, which: Bools) -> tuple[Floats, Bools]:
-    """Return how unlikely each pixel's colour is among those of `which` around it (H,W), and where these are enough.
+@dataclass(frozen=True, slots=True)
+class _Colours:
+    """How each pixel's colour (H,W,3) compares with those of certain pixels around it, as a normal distribution.
 
-    It is minus twice the logarithm of the likelihood under a normal distribution, up to a constant."""
+    distance    (H,W) squared distance from their mean, in variances
+    unlikeness  (H,W) minus twice the logarithm of its likelihood, up to a constant
+    known       (H,W) whether there are enough of them
+    """
+
+    distance: Floats
+    unlikeness: Floats
+    known: Bools
+
+    @classmethod
+    def of(cls, colour: Floats, which: Bools) -> _Colours:
+        """Compare each pixel with those of the mask `which` (H,W) around it."""
+        weight = which.astype(np.float32)
+        count = np.maximum(_sum_around(weight), 1)
+        mean = _sum_around(weight[..., None] * colour) / count[..., None]
+        square = _sum_around(weight * np.einsum("hwc,hwc->hw", colour, colour)) / count
+        spread = np.maximum(square - np.einsum("hwc,hwc->hw", mean, mean), 0) / 3 + _LEAST_SPREAD**2
+        distance = np.einsum("hwc,hwc->hw", colour - mean, colour - mean) / spread
+        return cls(distance, distance + 3 * np.log(spread), count >= _FEWEST)
+
+
+def _sum_around(values: Floats) -> Floats:
+    """Sum values (H,W) or (H,W,C) over the window around each pixel."""
     import cv2
 
-    def around(values: Floats) -> Floats:
-        return np.asarray(cv2.boxFilter(values, cv2.CV_32F, (_AROUND, _AROUND), normalize=False))
-
-    weight = which.astype(np.float32)
-    count = np.maximum(around(weight), 1)
-    mean = around(weight[..., None] * colour) / count[..., None]
-    square = around(weight * np.einsum("hwc,hwc->hw", colour, colour)) / count
-    spread = np.maximum(square - np.einsum("hwc,hwc->hw", mean, mean), 0) / 3 + _LEAST_SPREAD**2
-    off = np.einsum("hwc,hwc->hw", colour - mean, colour - mean)
-    return off / spread + 3 * np.log(spread), count >= _FEWEST
+    return np.asarray(cv2.boxFilter(values, cv2.CV_32F, (_AROUND, _AROUND), normalize=False))

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick, pick
+from capture2vr.edge.arrays import Bools, Floats, Tick, no_tick, pick
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.points.clusters import cluster_near, touching_distance
 from capture2vr.edge.points.ground import Ground
 from capture2vr.edge.points.nouns import CutReport, Points
-from capture2vr.edge.points.outliers import label_components
 from capture2vr.edge.points.plane import Plane, largest_plane
 from capture2vr.edge.points.removed_parts import largest_doubt
 from capture2vr.edge.points.upright import level_with
@@ -43,14 +43,6 @@ _BEND_SLABS = 2.0
 """Most that the ground may bend away from the plane, over half the thickness removed with it."""
 _FLAT_SLABS = 3.0
 """An object lower than this many slabs is flat: 4 cm on a table that a phone measured with 3 mm of noise."""
-_LINK_SPACINGS = 4.0
-"""Points within this many median spacings are connected."""
-_TOUCH_LINKS = 2.0
-"""A cluster within this many links of the chosen one is a part of the object that the scan did not connect."""
-_NEAR_MIDDLE = 0.05
-"""Distance from the middle at which a cluster's points count half, as a share of the points' extent."""
-_PROBE = 20_000
-"""Points sampled to measure the spacing."""
 _MIN_SHARE = 0.015
 _MIN_POINTS = 100
 """An object has at least this many points, and this share of all."""
@@ -105,7 +97,7 @@ def isolate_object(
         near = _near_mask(xyz, middle, eyes)
         plane = _supporting_plane(xyz[near], points.up, eyes)
     tick(0.93)
-    cut = _cut_off(plane, xyz, near, middle, silent=turntable or masked)
+    cut = _cut_off(plane, points.up, xyz, near, middle, silent=turntable or masked)
     tick(1.0)
     if cut.thing.sum() < _MIN_POINTS:
         raise CaptureError(
@@ -129,23 +121,25 @@ def isolate_object(
     return IsolatedObject(thing, None if cut.plane is None else cut.plane.moved(origin))
 
 
-def _cut_off(plane: Plane | None, xyz: Floats, near: Bools, middle: Floats | None, *, silent: bool) -> _Cut:
+def _cut_off(
+    plane: Plane | None, up: Floats | None, xyz: Floats, near: Bools, middle: Floats | None, *, silent: bool
+) -> _Cut:
     """Cut the object off its plane; of one that is too flat for that, the plane stays. silent: none is expected."""
     if plane is None:
-        return _Cut(_object_mask(xyz, near, middle), None, "" if silent else say("no_table_floor_found_below"))
+        return _Cut(cluster_near(xyz, near, middle), None, "" if silent else say("no_table_floor_found_below"))
     half = _half_slab(plane)
-    ground = Ground.about(plane, xyz[near], half, _BEND_SLABS * half)
-    thing = _object_mask(xyz, near & (ground.height(xyz) > half), middle)
+    height = Ground.about(plane, xyz[near], half, _BEND_SLABS * half).height(xyz)
+    level = up is not None and float(plane.normal @ up) > np.cos(np.radians(_UPRIGHT_DEG))
+    thing = cluster_near(xyz, near & (height > half), middle, height if level else None)
     if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
-        return _Cut(_object_mask(xyz, near, middle), None, say("thing_too_flat_to_separate"))
+        return _Cut(cluster_near(xyz, near, middle), None, say("thing_too_flat_to_separate"))
     return _Cut(thing, plane)
 
 
 def _doubt(xyz: Floats, cut: _Cut, near: Bools) -> tuple[str, float]:
     """Find what the cut may have removed of the object itself, among what is near."""
     half = 0.0 if cut.plane is None else _half_slab(cut.plane)
-    reach = _TOUCH_LINKS * _LINK_SPACINGS * _spacing(xyz[cut.thing])
-    return largest_doubt(xyz, cut.thing, near, cut.plane, half, reach)
+    return largest_doubt(xyz, cut.thing, near, cut.plane, half, touching_distance(xyz[cut.thing]))
 
 
 def _sample(points: Points) -> Cloud:
@@ -256,45 +250,3 @@ def _is_flat(thing: Floats, plane: Plane) -> bool:
 def _half_slab(plane: Plane) -> float:
     """Return half the thickness that is removed with the plane, in the points' units."""
     return _SLAB_SIGMAS * plane.spread
-
-
-def _object_mask(xyz: Floats, candidates: Bools, middle: Floats | None) -> Bools:
-    """Cluster the candidates (N,); return a mask (N,) of the large cluster near the middle (3,) and what touches it."""
-    from scipy.spatial import cKDTree
-
-    thing = np.zeros(len(xyz), bool)
-    index = np.flatnonzero(candidates)
-    if len(index) < _MIN_POINTS:
-        return thing
-    left = xyz[index]
-    link = _LINK_SPACINGS * _spacing(left)
-    label = label_components(left, link)
-    middle = np.median(left, axis=0) if middle is None else middle
-    chosen = _choose(left, label, middle)
-    while True:
-        reach, _ = cKDTree(left[chosen]).query(left[~chosen], distance_upper_bound=_TOUCH_LINKS * link, workers=-1)
-        touching = np.unique(label[~chosen][np.isfinite(reach)])
-        if not len(touching):
-            break
-        chosen |= np.isin(label, touching)
-    thing[index[chosen]] = True
-    return thing
-
-
-def _choose(xyz: Floats, label: Ints, middle: Floats) -> Bools:
-    """Return a mask of the cluster with the most points, weighted down by the distance of its nearest point from the
-    middle."""
-    size = np.bincount(label)
-    distance = np.full(len(size), np.inf)
-    np.minimum.at(distance, label, np.linalg.norm(xyz - middle, axis=1))
-    scale = _NEAR_MIDDLE * float(np.ptp(xyz, axis=0).max())
-    return np.asarray(label == np.argmax(size / (1 + (distance / scale) ** 2)))
-
-
-def _spacing(xyz: Floats) -> float:
-    """Return the median distance from a point to its nearest neighbour."""
-    from scipy.spatial import cKDTree
-
-    some = xyz[np.random.default_rng(0).permutation(len(xyz))[:_PROBE]]
-    distance, _ = cKDTree(xyz).query(some, k=2, workers=-1)
-    return float(np.median(distance[:, 1]))

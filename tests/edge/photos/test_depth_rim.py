@@ -67,3 +67,14 @@ def test_a_thing_thinner_than_the_rim_stays() -> None:
     rgb = _picture(leaf, thing_rgb=(60, 160, 60), beyond=(200, 200, 200))
     depth = _depth(leaf, 0.0)
     assert (remove_rim(depth, rgb) == depth).all()
+
+
+@pytest.mark.parametrize("beyond", [0.0, 2.0], ids=["nothing behind", "a cloth behind"])
+def test_the_rim_of_a_stem_goes_and_the_stem_stays(beyond: float) -> None:
+    stem, rim = np.zeros(_SIZE, bool), np.zeros(_SIZE, bool)
+    stem[58:60], rim[54:64] = True, True
+    rgb = _picture(stem, thing_rgb=(90, 160, 60), beyond=(20, 20, 24))
+    kept = remove_rim(_depth(rim, beyond), rgb)
+    near = (kept > 0) & (kept < 1.5)
+    assert (near & stem).sum() > 0.95 * stem.sum()
+    assert (near & ~stem).sum() < 0.05 * (rim & ~stem).sum()

@@ -101,6 +101,15 @@ def test_a_loose_part_close_by_stays() -> None:
     assert np.sum(points.xyz[:, 1] > 0.17) > 250
 
 
+def test_what_stands_on_nothing_belongs_to_the_thing_and_what_stands_on_the_table_does_not() -> None:
+    """The head of a flower, the stem of which has no depth, and another one that lies beside it."""
+    head = trimesh.sample.sample_surface(trimesh.creation.icosphere(3, 0.04), 600, seed=5)[0]
+    over, beside = (head + np.array(at) for at in ([0, 0, 0.41], [0.26, 0, 0.04]))
+    points = isolate(np.concatenate([ball_on_table(), over, beside]))
+    assert np.sum(points.xyz[:, 2] > 0.36) > 550
+    assert np.abs(points.xyz[:, 0]).max() < 0.2
+
+
 def test_dust_is_a_named_error() -> None:
     grains = np.random.default_rng(0).uniform(-1, 1, (40, 3))
     dust = (grains[:, None] + 1e-3 * np.random.default_rng(1).normal(size=(40, 60, 3))).reshape(-1, 3)

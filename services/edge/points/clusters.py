@@ -1,0 +1,86 @@
+"""Find the cluster of points that the cameras aimed at, with all that belongs to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.points.outliers import label_components
+
+_LINK_SPACINGS = 4.0
+"""Points within this many median spacings are connected."""
+_TOUCH_LINKS = 2.0
+"""A cluster within this many links of the chosen one is a part of the object that the scan did not connect."""
+_FLOATING_LINKS = 8.0
+"""The same for a cluster that stands on nothing, such as the head of a flower on a stem without depth."""
+_LOWEST = 2.0
+"""Percentile of a cluster's heights that tells how far down it comes."""
+_NEAR_MIDDLE = 0.05
+"""Distance from the middle at which a cluster's points count half, as a share of the points' extent."""
+_LEAST = 100
+"""Fewest points among which clusters are searched."""
+_PROBE = 20_000
+"""Points sampled to measure the spacing."""
+
+
+def touching_distance(xyz: Floats) -> float:
+    """Return the distance within which two clusters of points (N,3) belong together."""
+    return _TOUCH_LINKS * _LINK_SPACINGS * _spacing(xyz)
+
+
+def cluster_near(xyz: Floats, candidates: Bools, middle: Floats | None, height: Floats | None = None) -> Bools:
+    """Cluster the candidates (N,); return a mask (N,) of the large cluster near the middle (3,) and what belongs to it.
+
+    height (N,)  over the ground; where it is known, parts that stand on nothing belong to what is nearest, since
+                 nothing floats
+    """
+    from scipy.spatial import cKDTree
+
+    thing = np.zeros(len(xyz), bool)
+    index = np.flatnonzero(candidates)
+    if len(index) < _LEAST:
+        return thing
+    left = xyz[index]
+    link = _LINK_SPACINGS * _spacing(left)
+    label = label_components(left, link)
+    middle = np.median(left, axis=0) if middle is None else middle
+    floats = np.zeros(len(left), bool) if height is None else _floating(label, height[index], _TOUCH_LINKS * link)
+    chosen = _choose(left, label, middle)
+    while True:
+        away, _ = cKDTree(left[chosen]).query(left[~chosen], distance_upper_bound=_FLOATING_LINKS * link, workers=-1)
+        wide = floats[~chosen] | floats[chosen].all()
+        touching = np.unique(label[~chosen][away < np.where(wide, _FLOATING_LINKS, _TOUCH_LINKS) * link])
+        if not len(touching):
+            break
+        chosen |= np.isin(label, touching)
+    thing[index[chosen]] = True
+    return thing
+
+
+def _floating(label: Ints, height: Floats, least: float) -> Bools:
+    """Mask (N,) of the points whose cluster comes nowhere near the ground."""
+    order = np.lexsort((height, label))
+    size = np.bincount(label)
+    first = np.cumsum(size) - size
+    lowest = height[order][first + (size * (_LOWEST / 100)).astype(np.int64)]
+    floating: Bools = lowest[label] > least
+    return floating
+
+
+def _choose(xyz: Floats, label: Ints, middle: Floats) -> Bools:
+    """Return a mask of the cluster with the most points, weighted down by the distance of its nearest point from the
+    middle."""
+    size = np.bincount(label)
+    distance = np.full(len(size), np.inf)
+    np.minimum.at(distance, label, np.linalg.norm(xyz - middle, axis=1))
+    scale = _NEAR_MIDDLE * float(np.ptp(xyz, axis=0).max())
+    return np.asarray(label == np.argmax(size / (1 + (distance / scale) ** 2)))
+
+
+def _spacing(xyz: Floats) -> float:
+    """Return the median distance from a point to its nearest neighbour."""
+    from scipy.spatial import cKDTree
+
+    some = xyz[np.random.default_rng(0).permutation(len(xyz))[:_PROBE]]
+    distance, _ = cKDTree(xyz).query(some, k=2, workers=-1)
+    return float(np.median(distance[:, 1]))
