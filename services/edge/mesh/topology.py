@@ -11,6 +11,9 @@ from capture2vr.edge.mesh.edges import Edges, edges_of
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 
+_HOLLOW = 0.01
+"""Least volume between a piece and its middle, of the root of its area cubed, for it to have an inside. A ball has .09,
+a tube three times as long as wide .05."""
 BEND_STEPS = 64  # distinct bends in the spanning tree of flattest neighbours: steps of 1.4° at a right angle
 
 
@@ -48,7 +51,7 @@ def compact(mesh: Mesh, kept: Ints | None = None) -> Mesh:
 
 
 def orient(mesh: Mesh, tick: Tick = no_tick) -> Mesh:
-    """Orient faces consistently, closed pieces outwards. A non-orientable piece (Möbius) keeps one seam of flips.
+    """Orient faces consistently, closed and hollow pieces outwards. A non-orientable piece (Möbius) keeps one seam of flips.
 
     `tick` is called in between: a million faces take more than a second.
     """
@@ -94,18 +97,21 @@ def _flips(mesh: Mesh, tick: Tick, *, elsewhere: bool = False) -> Bools:
     if one_sided.any():
         flip[one_sided] = _flips_along_flattest_tree(mesh, adjacent, against, one_sided, elsewhere=elsewhere)
     tick(0.8)
-    flip = flip ^ _inward(mesh, flip, piece, edges)[piece]
+    flip = flip ^ _inward(mesh, flip, piece)[piece]
     tick(1)
     return flip
 
 
-def _inward(mesh: Mesh, flip: Bools, piece: Ints, edges: Edges) -> Bools:
-    """Mask (P,) of closed pieces whose faces point inwards after the flips."""
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    volume = np.bincount(piece, np.where(flip, -1, 1) * np.einsum("fx,fx->f", a, np.cross(b, c)))
-    closed = np.ones(len(volume), bool)
-    closed[piece[edges.halves(1)[:, 0] // 3]] = False
-    inward: Bools = (volume < 0) & closed
+def _inward(mesh: Mesh, flip: Bools, piece: Ints) -> Bools:
+    """Mask (P,) of pieces that are wound to be seen from inside after the flips: closed ones, and hollow open ones such
+    as a bowl, by the volume between them and their middle. A flat sheet has no inside."""
+    normals, first = face_normals(mesh.vertices, mesh.faces), mesh.vertices[mesh.faces[:, 0]]
+    areas = np.linalg.norm(normals, axis=1) / 2
+    area = np.maximum(np.bincount(piece, areas), 1e-300)
+    middle = np.stack([np.bincount(piece, areas * column) for column in first.T], axis=1) / area[:, None]
+    height = np.einsum("fx,fx->f", first - middle[piece], normals)
+    volume = np.bincount(piece, np.where(flip, -height, height)) / 6
+    inward: Bools = volume < -_HOLLOW * area**1.5
     return inward
 
 

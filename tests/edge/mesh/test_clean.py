@@ -207,11 +207,13 @@ def _seam(mesh: Mesh) -> set[tuple[int, int]]:
     return {(min(edge), max(edge)) for edge, times in walked.items() if times > 1}
 
 
-def test_orient_winds_alike_and_closed_pieces_outwards() -> None:
+@pytest.mark.parametrize("open_below", [-1.0, -0.2, 0.0], ids=["closed", "a bowl", "half a ball"])
+def test_orient_winds_alike_and_hollow_pieces_outwards(open_below: float) -> None:
     ball = extract(*_ball(), resolution=24)
     rng = np.random.default_rng(0)
     turned = np.where((rng.random(len(ball.faces)) < 0.5)[:, None], ball.faces[:, ::-1], ball.faces)
-    mesh = orient(Mesh(ball.vertices, turned))
+    kept = ball.vertices[ball.faces][:, :, 2].mean(axis=1) > open_below * ball.vertices[:, 2].max()
+    mesh = orient(Mesh(ball.vertices, turned[kept]))
     corners = mesh.vertices[mesh.faces]
     outward = np.einsum(
         "fx,fx->f", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, 0]
