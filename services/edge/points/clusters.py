@@ -13,8 +13,8 @@ _TOUCH_LINKS = 2.0
 """A cluster within this many links of the chosen one is a part of the object that the scan did not connect."""
 _FLOATING_LINKS = 8.0
 """The same for a cluster that stands on nothing, such as the head of a flower on a stem without depth."""
-_LOWEST = 2.0
-"""Percentile of a cluster's heights that tells how far down it comes."""
+_LOWEST, _HIGHEST = 2.0, 98.0
+"""Percentiles of a cluster's heights that tell how far down and up it comes."""
 _NEAR_MIDDLE = 0.05
 """Distance from the middle at which a cluster's points count half, as a share of the points' extent."""
 _LEAST = 100
@@ -44,11 +44,11 @@ def cluster_near(xyz: Floats, candidates: Bools, middle: Floats | None, height: 
     link = _LINK_SPACINGS * _spacing(left)
     label = label_components(left, link)
     middle = np.median(left, axis=0) if middle is None else middle
-    floats = np.zeros(len(left), bool) if height is None else _floating(label, height[index], _TOUCH_LINKS * link)
+    floats, stands = _over_ground(label, None if height is None else height[index], _TOUCH_LINKS * link)
     chosen = _choose(left, label, middle)
     while True:
         away, _ = cKDTree(left[chosen]).query(left[~chosen], distance_upper_bound=_FLOATING_LINKS * link, workers=-1)
-        wide = floats[~chosen] | floats[chosen].all()
+        wide = floats[~chosen] | (stands[~chosen] & floats[chosen].all())
         touching = np.unique(label[~chosen][away < np.where(wide, _FLOATING_LINKS, _TOUCH_LINKS) * link])
         if not len(touching):
             break
@@ -57,14 +57,16 @@ def cluster_near(xyz: Floats, candidates: Bools, middle: Floats | None, height: 
     return thing
 
 
-def _floating(label: Ints, height: Floats, least: float) -> Bools:
-    """Mask (N,) of the points whose cluster comes nowhere near the ground."""
+def _over_ground(label: Ints, height: Floats | None, near: float) -> tuple[Bools, Bools]:
+    """Masks (N,) of the points whose cluster floats over the ground, and of those whose cluster stands on it; what does
+    not rise from it is neither, and without heights (N,) nothing is."""
+    if height is None:
+        return np.zeros(len(label), bool), np.zeros(len(label), bool)
     order = np.lexsort((height, label))
     size = np.bincount(label)
     first = np.cumsum(size) - size
-    lowest = height[order][first + (size * (_LOWEST / 100)).astype(np.int64)]
-    floating: Bools = lowest[label] > least
-    return floating
+    lowest, highest = (height[order][first + (size * (part / 100)).astype(np.int64)] for part in (_LOWEST, _HIGHEST))
+    return (lowest > near)[label], ((lowest <= near) & (highest > 2 * near))[label]
 
 
 def _choose(xyz: Floats, label: Ints, middle: Floats) -> Bools:
