@@ -51,7 +51,7 @@ def compact(mesh: Mesh, kept: Ints | None = None) -> Mesh:
 
 
 def orient(mesh: Mesh, tick: Tick = no_tick) -> Mesh:
-    """Orient faces consistently, closed and hollow pieces outwards. A non-orientable piece (Möbius) keeps one seam of flips.
+    """Orient faces consistently, closed and hollow pieces outwards. A non-orientable piece (Möbius) keeps one seam.
 
     `tick` is called in between: a million faces take more than a second.
     """
