@@ -53,10 +53,10 @@ from tests.bench.photo_sets import (
     exposure_steps,
     film,
     fruit,
+    posed_shell,
     shell,
     statue,
     statue_points,
-    write_transforms,
 )
 from tests.bench.photos import SEEN_BY, is_seen
 from tests.support import scenes
@@ -115,18 +115,6 @@ def _fruit(folder: Path | None = None) -> Row:
     return replace(_of(known, np.asarray(points)), normals=known.truth.face_normals[face])
 
 
-def _posed_shell(folder: Path, views: int) -> Row:
-    known = shell(folder / "photos", views, **_PHONE)
-    assert known.intrinsics is not None
-    lens = known.intrinsics
-    given = folder / "given"
-    given.mkdir()
-    # nerfstudio's principal point has the first pixel's centre at 0.5.
-    named = {"w": lens.width, "h": lens.height, "fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx + 0.5}
-    write_transforms(given, known.source, {**named, "cy": lens.cy + 0.5}, known.cameras)
-    return _of(replace(known, source=given))
-
-
 def _garment(folder: Path, *, depth: bool) -> Row:
     simulate_capture(garment_scene(), folder / "walk")
     return Row(read_capture(folder / "walk" if depth else folder / "walk" / "images"))
@@ -168,7 +156,7 @@ ROWS: dict[str, Callable[[Path], Row]] = {
     "statue, 32 photos": lambda folder: _of(statue(), statue_points()),
     "statue, cameras given": lambda folder: _of(statue(folder), statue_points()),
     "shell, 25 photos": lambda folder: _of(shell(folder, 25, **_PHONE)),
-    "shell, 50 photos, cameras given": lambda folder: _posed_shell(folder, 50),
+    "shell, 50 photos, cameras given": lambda folder: _of(posed_shell(folder, 50, **_PHONE)),
     "shell, exposure steps": lambda folder: _of(shell(folder, 25, gains=exposure_steps(25), **_PHONE)),
     "shell, glossy": lambda folder: _of(shell(folder, 25, gloss=_GLOSS, **_PHONE)),
     "shell, film": lambda folder: _of(film(folder, **_PHONE)),

@@ -21,6 +21,7 @@ from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.fusion.orbit import meeting_point
 from capture2vr.edge.render.posed_picture import PosedPicture
 from tests.bench.data_files import data_file
+from tests.support.photos.rendered.photos import RenderedPhotos, render_photos
 from tests.support.photos.walkaround import render_walkaround
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -239,6 +240,30 @@ def shell(folder: Path, views: int, size: tuple[int, int] = (1280, 960), **fault
     return PhotoSet(
         folder, poses, trimesh.Trimesh(walk.thing.vertices, walk.thing.faces, process=False), walk.intrinsics
     )
+
+
+def posed_shell(folder: Path, views: int, **faults: Any) -> PhotoSet:
+    """The walk around the shell, with its cameras as a `transforms.json` beside the photos."""
+    return _with_cameras(shell(folder / "photos", views, **faults), folder / "given")
+
+
+def rendered(name: str, folder: Path) -> tuple[PhotoSet, RenderedPhotos]:
+    """The photos of a subject of `SUBJECTS`, with their cameras beside them, and all that is known of its shape."""
+    made = render_photos(name, folder / "photos")
+    truth = trimesh.Trimesh(made.shape.mesh.vertices, made.shape.mesh.faces, process=False)
+    known = PhotoSet(folder / "photos", made.cameras, truth, made.intrinsics)
+    return _with_cameras(known, folder / "given"), made
+
+
+def _with_cameras(known: PhotoSet, given: Path) -> PhotoSet:
+    """The same photos in another folder, with a `transforms.json`."""
+    assert known.intrinsics is not None
+    lens = known.intrinsics
+    given.mkdir(parents=True, exist_ok=True)
+    # nerfstudio's principal point has the first pixel's centre at 0.5.
+    named = {"w": lens.width, "h": lens.height, "fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx + 0.5}
+    write_transforms(given, known.source, {**named, "cy": lens.cy + 0.5}, known.cameras)
+    return replace(known, source=given)
 
 
 def exposure_steps(views: int, seed: int = 0) -> Floats:
