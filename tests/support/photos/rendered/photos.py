@@ -20,6 +20,7 @@ from tests.support.scenes import look_at
 from tests.support.surfaces import grid
 
 CAMERA = Intrinsics(647.0, 647.0, 399.5, 299.5, 800, 600)
+SEED = 0
 _RINGS = ((14, 18.0), (10, 48.0))  # photos, degrees above the table
 _DISTANCE_M = 1.8 * SIZE_M
 _TABLE_M = 1.6
@@ -64,27 +65,31 @@ class RenderedPhotos:
     shape: Shape
 
 
-def render_photos(name: str, folder: Path, camera: Intrinsics = CAMERA) -> RenderedPhotos:
+def arrange_photos(name: str, rng: np.random.Generator) -> RenderedPhotos:
+    """Place the cameras around a subject of `SUBJECTS`; with the generator's seed they are the same each time."""
+    shape = SUBJECTS[name].shape()
+    cameras = {f"photo_{number:02}.jpg": pose for number, pose in enumerate(_poses(shape.mesh, rng))}
+    return RenderedPhotos(cameras, CAMERA, shape)
+
+
+def render_photos(name: str, folder: Path) -> RenderedPhotos:
     """Photograph a subject of `SUBJECTS` into a folder; the same files each time."""
-    subject, rng = SUBJECTS[name], np.random.default_rng(0)
-    shape, stage = build_stage(subject)
-    poses = _poses(shape.mesh, rng)
+    rng = np.random.default_rng(SEED)
+    known = arrange_photos(name, rng)
+    stage = build_stage(SUBJECTS[name], known.shape)
     folder.mkdir(parents=True, exist_ok=True)
-    cameras = {}
-    for number, pose in enumerate(poses):
-        file = f"photo_{number:02}.jpg"
-        Image.fromarray(_developed(stage.picture(pose, camera), rng)).save(folder / file, quality=_JPEG, subsampling=1)
-        cameras[file] = pose
-    return RenderedPhotos(cameras, camera, shape)
+    for file, pose in known.cameras.items():
+        rgb = _developed(stage.picture(pose, known.intrinsics), rng)
+        Image.fromarray(rgb).save(folder / file, quality=_JPEG, subsampling=1)
+    return known
 
 
-def build_stage(subject: Subject) -> tuple[Shape, Stage]:
-    """The subject's shape, and it as part 0 of a stage on a table, which is part 1."""
-    shape = subject.shape()
+def build_stage(subject: Subject, shape: Shape) -> Stage:
+    """The subject as part 0 of a stage, on a table, which is part 1."""
     side = np.linspace(-_TABLE_M / 2, _TABLE_M / 2, 161)
     x, y = np.meshgrid(side, side, indexing="ij")
     table = grid(np.stack([x, y, 0 * x - 1e-4], axis=-1))
-    return shape, Stage([(shape.mesh, subject.material), (table, subject.table)], subject.room)
+    return Stage([(shape.mesh, subject.material), (table, subject.table)], subject.room)
 
 
 def _poses(mesh: Mesh, rng: np.random.Generator) -> list[Floats]:
@@ -96,7 +101,8 @@ def _poses(mesh: Mesh, rng: np.random.Generator) -> list[Floats]:
             turn = 2 * np.pi * (number + rng.uniform(-0.2, 0.2)) / count
             tilt, away = np.radians(above + rng.uniform(-4, 4)), _DISTANCE_M * rng.uniform(0.95, 1.08)
             eye = middle + away * np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)])
-            poses.append(look_at(eye, middle + rng.normal(0, 0.006, 3), np.array([0, 0, 1]) + rng.normal(0, 0.03, 3)))
+            up = np.array([0, 0, 1]) + rng.normal(0, 0.03, 3)
+            poses.append(look_at(eye.tolist(), (middle + rng.normal(0, 0.006, 3)).tolist(), up.tolist()))
     return poses
 
 
@@ -105,5 +111,5 @@ def _developed(light: Floats, rng: np.random.Generator) -> Bytes:
     light = cv2.GaussianBlur(light * np.float32(rng.uniform(0.95, 1.05)), (0, 0), _BLUR_PX)
     sigma = np.sqrt(light * _ELECTRONS + _READ**2) / _ELECTRONS
     light = np.clip(light + sigma * rng.standard_normal(light.shape, dtype=np.float32), 0, 1)
-    tones = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    tones: Floats = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * tones), np.uint8)

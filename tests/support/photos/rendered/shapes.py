@@ -17,7 +17,6 @@ from capture2vr.cli.demonstration.demo_garment import garment
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.mesh.concatenate import concatenate
 from capture2vr.edge.mesh.edges import border_loops
-from capture2vr.edge.mesh.normals import vertex_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.sampling import sample
 from tests.support.surfaces import grid
@@ -103,7 +102,8 @@ def stems() -> Shape:
         axis = np.stack([out * np.cos(bend), out * np.sin(bend), 0.05 + (high - 0.05) * v], axis=1)
         radius = _STEM_M[0] + (_STEM_M[1] - _STEM_M[0]) * v
         parts.append(_tube(axis, radius))
-        axes.append(np.column_stack([axis, radius]))
+        fine = np.linspace(0, 1, 600)  # as close to each other as a thin part is wide
+        axes.append(np.stack([np.interp(fine, v, each) for each in (*axis.T, radius)], axis=1))
         for place in (axis[24], axis[32], axis[-1]):
             pod = trimesh.creation.icosphere(subdivisions=3)
             turned = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
@@ -114,18 +114,18 @@ def stems() -> Shape:
 def basket() -> Shape:
     """A basket of woven strips with gaps, open at the top."""
     high, turn = 0.17, np.linspace(0, 2 * np.pi, 521)
-    parts = [_turned([(0, 0.004), (_wall(0.004), 0.004)], rounded=False)]
+    parts = [_turned([(0, 0.004), (float(_wall(0.004)), 0.004)], rounded=False)]
     for number in range(_BANDS):
         z = 0.012 + (high - 0.024) * number / (_BANDS - 1)
         weave = 0.003 * np.cos(_RIBS / 2 * turn + np.pi * number)
         across = np.linspace(-0.5, 0.5, 5)[:, None] * _STRIP_M
         parts.append(_around(_wall(z + across) + weave, z + across + 0 * turn, turn))
-    z = np.linspace(0.004, high, 120)[:, None]
+    up = np.linspace(0.004, high, 120)[:, None]
     for rib in range(_RIBS):
         middle = 2 * np.pi * rib / _RIBS
-        weave = -0.003 * np.cos(np.pi * (z - 0.012) / (high - 0.024) * (_BANDS - 1)) * np.cos(np.pi * rib)
+        weave = -0.003 * np.cos(np.pi * (up - 0.012) / (high - 0.024) * (_BANDS - 1)) * np.cos(np.pi * rib)
         across = middle + np.linspace(-0.5, 0.5, 5) * _STRIP_M / 0.12
-        parts.append(_around(_wall(z) + weave + 0 * across, z + 0 * across, across))
+        parts.append(_around(_wall(up) + weave + 0 * across, up + 0 * across, across))
     ring = np.stack([_wall(high) * np.cos(turn), _wall(high) * np.sin(turn), np.full(len(turn), high)], axis=1)
     parts.append(_tube(ring, np.full(len(turn), 0.006)))
     wall = np.linspace(0.004, high, 60)[:, None]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.arrays import Bytes, Floats, Ints
 from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.mesh.concatenate import concatenate
 from capture2vr.edge.mesh.normals import vertex_normals
@@ -119,7 +119,8 @@ class Stage:
             matt = self._behind(inside, out)
             leaving = _refract(inside[out.ray], out.normal, _INDEX)
             matt[out.ray] = self._further(out.place - _LIFT_M * out.normal, leaving, sun, bounces)
-        return share * mirrored + (1 - share) * matt
+        seen: Floats = share * mirrored + (1 - share) * matt
+        return seen
 
     def _further(self, origins: Floats, rays: Floats, sun: Floats, bounces: int) -> Floats:
         return self._light(origins, rays, sun, bounces - 1) if bounces else self._room(rays)
@@ -177,7 +178,8 @@ class Stage:
 
 
 def _mirror(rays: Floats, normal: Floats) -> Floats:
-    return rays - 2 * np.einsum("nx,nx->n", rays, normal)[:, None] * normal
+    mirrored: Floats = rays - 2 * np.einsum("nx,nx->n", rays, normal)[:, None] * normal
+    return mirrored
 
 
 def _refract(rays: Floats, normal: Floats, ratio: float) -> Floats:
@@ -190,8 +192,9 @@ def _refract(rays: Floats, normal: Floats, ratio: float) -> Floats:
     return directions
 
 
-def _linear(rgb: Floats) -> Floats:
-    return (np.asarray(rgb, np.float32) / 255) ** np.float32(2.2)
+def _linear(rgb: Bytes) -> Floats:
+    linear: Floats = (np.asarray(rgb, np.float32) / 255) ** np.float32(2.2)
+    return linear
 
 
 def _pattern() -> Floats:
