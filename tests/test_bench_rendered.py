@@ -36,10 +36,11 @@ PLACE = np.array([0.06, -0.04, 0.05])  # of the small ball's middle
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stage, "_VOXELS", 24)
-    monkeypatch.setattr(rendered_figures, "_SAMPLES", 100_000)
-    monkeypatch.setattr(rendered_figures, "_TRUE_SAMPLES", 150_000)
-    monkeypatch.setattr(rendered_figures, "_OPENING_SAMPLES", 8_000)
-    monkeypatch.setattr(rendered_figures, "_SEEN_SAMPLES", 10_000)
+    monkeypatch.setattr(stage, "_SKY_RAYS", 2)
+    monkeypatch.setattr(rendered_figures, "_SAMPLES", 60_000)
+    monkeypatch.setattr(rendered_figures, "_TRUE_SAMPLES", 60_000)
+    monkeypatch.setattr(rendered_figures, "_OPENING_SAMPLES", 5_000)
+    monkeypatch.setattr(rendered_figures, "_SEEN_SAMPLES", 5_000)
 
 
 def ball(radius: float, middle: Floats) -> Mesh:
@@ -121,7 +122,7 @@ def test_a_shape_stands_on_the_table_and_closes_none_of_its_openings(make: Calla
     assert low[2] >= 0
     found = Comparison(shape.mesh, RenderedPhotos({}, CAMERA, shape)).openings()
     assert found["closed openings %"] == pytest.approx(0, abs=1)
-    assert found["mesh over openings %"] == pytest.approx(0, abs=0.1)
+    assert found["mesh over openings %"] == pytest.approx(0, abs=0.3)
 
 
 # Figures
@@ -146,7 +147,10 @@ def test_a_filled_opening_is_seen_and_an_open_one_is_not() -> None:
     open_tub, lid = tub()
     known = RenderedPhotos(around(open_tub), CAMERA, Shape(open_tub, lid))
     as_it_is = Comparison(open_tub, known).openings()
-    assert as_it_is == {"closed openings %": pytest.approx(0, abs=0.1), "mesh over openings %": pytest.approx(0)}
+    assert as_it_is == {
+        "closed openings %": pytest.approx(0, abs=0.5),
+        "mesh over openings %": pytest.approx(0, abs=0.2),
+    }
     domed = Mesh(
         lid.vertices + [0, 0, 0.03] * (1 - np.square(lid.vertices[:, :2]).sum(axis=1) / 0.01)[:, None], lid.faces
     )
@@ -165,10 +169,10 @@ def test_what_is_missing_and_what_is_wrong_are_counted_where_photos_see() -> Non
     whole = ball(0.15, np.array([0, 0, 0.15]))
     known = RenderedPhotos(around(whole), CAMERA, Shape(whole))
     same = Comparison(whole, known).surface()
-    assert same == {"accurate %": 100, "complete %": pytest.approx(100, abs=0.1)}
+    assert same == {"accurate %": pytest.approx(100, abs=0.6), "complete %": pytest.approx(100, abs=0.6)}
     assert Comparison(half_of(whole), known).surface()["complete %"] == pytest.approx(50, abs=3)
     high = Mesh(whole.vertices, whole.faces[(whole.vertices[whole.faces, 2] > 0.03).all(axis=1)])
-    assert Comparison(high, known).surface()["complete %"] == pytest.approx(100, abs=0.5), "no photo sees below"
+    assert Comparison(high, known).surface()["complete %"] == pytest.approx(100, abs=0.6), "no photo sees below"
     doubled = concatenate([whole, Mesh(np.add(whole.vertices, (1.0, 0, 0)), whole.faces)])
     assert Comparison(doubled, known).surface()["accurate %"] == pytest.approx(50, abs=0.5)
     assert set(Comparison(whole, known).openings().values()) == {None}
