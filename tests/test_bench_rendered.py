@@ -125,6 +125,14 @@ def test_a_shape_stands_on_the_table_and_closes_none_of_its_openings(make: Calla
     assert found["mesh over openings %"] == pytest.approx(0, abs=0.3)
 
 
+@pytest.mark.parametrize("make", [shapes.head, shapes.rounded_box, shapes.bottle, shapes.apple])
+def test_a_closed_shape_is_whole_and_has_its_front_outside(make: Callable[[], Shape]) -> None:
+    made = make().mesh
+    for body in trimesh.Trimesh(made.vertices, made.faces, process=False).split(only_watertight=False):
+        assert body.is_watertight
+        assert body.volume > 0
+
+
 # Figures
 
 

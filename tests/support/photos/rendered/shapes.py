@@ -83,7 +83,7 @@ def apple() -> Shape:
     """An apple with its stalk."""
     tilt = np.linspace(0, np.pi, 160)
     radius = 1 - 0.35 * np.exp(-((tilt / 0.35) ** 2)) - 0.12 * np.exp(-(((np.pi - tilt) / 0.3) ** 2)) - 0.05 * tilt
-    outline = np.stack([radius * np.sin(tilt), -radius * np.cos(tilt)], axis=1) * [0.1, -0.1]
+    outline = np.stack([radius * np.sin(tilt), radius * np.cos(tilt)], axis=1)[::-1] * 0.1
     body = _turned(outline, rounded=False)
     top = np.array([[0, 0, 0.058], [0.003, 0, 0.085], [0.012, 0, 0.11]])
     return _sized(Shape(concatenate([body, _tube(top, np.full(3, 0.004))])))
@@ -163,8 +163,9 @@ def shoe() -> Shape:
     along = (1 + np.cos(turn)) / 2
     waist = 1 - 0.25 * np.exp(-(((along - 0.4) / 0.15) ** 2))
     aside = np.sign(np.sin(turn)) * np.abs(np.sin(turn)) ** 0.8 * waist
-    upper = _welded(grid(np.stack([heel + (toe - heel) * along, wide * aside, z + 0 * turn], axis=-1)))
-    whole = concatenate([upper, _fan(upper.vertices[upper.vertices[:, 2] == 0])])
+    points = np.stack([heel + (toe - heel) * along, wide * aside, z + 0 * turn], axis=-1)
+    upper = _welded(_flipped(grid(points)))
+    whole = concatenate([upper, _flipped(_fan(points[0, :-1]))])
     collar = max(border_loops(upper.faces), key=lambda loop: upper.vertices[loop, 2].mean())
     return _sized(Shape(whole, _fan(upper.vertices[collar])))
 
@@ -231,7 +232,12 @@ def _turned(outline: Sequence[tuple[float, float]] | Floats, *, rounded: bool = 
 
 
 def _around(radius: Floats, height: Floats, turn: Floats) -> Mesh:
-    return grid(np.stack([radius * np.cos(turn), radius * np.sin(turn), height + 0 * radius], axis=-1))
+    """The surface of points at radius and height (R,C) in directions (R,C), its front outside where rows go up."""
+    return _flipped(grid(np.stack([radius * np.cos(turn), radius * np.sin(turn), height + 0 * radius], axis=-1)))
+
+
+def _flipped(mesh: Mesh) -> Mesh:
+    return Mesh(mesh.vertices, mesh.faces[:, ::-1])
 
 
 def _welded(mesh: Mesh) -> Mesh:
@@ -255,7 +261,7 @@ def _tube(axis: Floats, radius: Floats, sides: int = 12) -> Mesh:
     wide = np.concatenate([[0], radius, [0]])
     rows = [0, *range(len(axis)), len(axis) - 1]
     rings = np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None]
-    return _welded(grid(axis[rows][:, None] + wide[:, None, None] * rings[rows]))
+    return _welded(_flipped(grid(axis[rows][:, None] + wide[:, None, None] * rings[rows])))
 
 
 def _fan(ring: Floats) -> Mesh:
