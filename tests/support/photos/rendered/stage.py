@@ -24,7 +24,7 @@ _SUNS = np.array([[0.45, -0.35, 0.82], [0.51, -0.31, 0.80], [0.41, -0.41, 0.82],
 """Towards four parts of the key light, one for each sample of a pixel."""
 _OFFSETS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])  # pixels, of the samples
 _LIFT_M = 2e-4  # off a surface, so that it does not hide itself
-_SKY_RAYS = 12
+_SKY_RAYS, _SMOOTHINGS = 12, 12
 _VOXELS, _PERIOD_M = 192, 0.25  # of the pattern: 1.3 mm a voxel, a pixel sees 1
 _SLOPE = 1.1  # the pattern's amplitude falls with frequency to this power: it has detail of every size
 _INDEX = 1.45  # of refraction of glass
@@ -69,7 +69,7 @@ class Stage:
         self.part = np.repeat(np.arange(len(parts)), [len(mesh.faces) for mesh in meshes])
         normals = np.concatenate([vertex_normals(mesh) for mesh in meshes]).astype(np.float32)
         vertices = whole.vertices.astype(np.float32)
-        sky = [open_sky(self.scene, vertices, side * normals, rays=_SKY_RAYS) for side in (1, -1)]
+        sky = [_smoothed(whole, open_sky(self.scene, vertices, side * normals, rays=_SKY_RAYS)) for side in (1, -1)]
         colours = [np.zeros((len(mesh.vertices), 3)) if mesh.rgb is None else _linear(mesh.rgb) for mesh in meshes]
         self._painted = np.array([mesh.rgb is not None for mesh in meshes])
         self._corner = np.column_stack([normals, *sky, np.concatenate(colours)]).astype(np.float32)
@@ -175,6 +175,15 @@ class Stage:
         lamp = np.exp(-(((rays - np.array([-0.5, 0.5, 0.707], np.float32)) / 0.12) ** 2).sum(axis=1))
         light = np.where(panes, 3.0, wall) + 4 * lamp
         return (self._bright * light[:, None] * np.array([0.97, 1, 1.03], np.float32)).astype(np.float32)
+
+
+def _smoothed(mesh: Mesh, values: Floats) -> Floats:
+    """(V,) means of values around each vertex: few rays leave a grain that plain surfaces do not have."""
+    around = np.bincount(mesh.faces.ravel(), minlength=len(values)).clip(1)
+    for _ in range(_SMOOTHINGS):
+        mean = np.repeat(values[mesh.faces].mean(axis=1), 3)
+        values = np.bincount(mesh.faces.ravel(), mean, len(values)) / around
+    return values
 
 
 def _mirror(rays: Floats, normal: Floats) -> Floats:
