@@ -261,9 +261,9 @@ FIGURES = {"placed": "20 of 20", "triangles": 123_456, "lace %": 1.25, "psnr": N
 def test_words_choose_rows_and_the_table_has_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def measured(names: list[str], out: Path | None) -> Iterator[tuple[str, dict[str, Any]]]:
+    def measured(names: list[str], out: Path | None, *, module: str) -> Iterator[tuple[str, dict[str, Any]]]:
         for name in names:
-            assert out == tmp_path
+            assert (out, module) == (tmp_path, "tests.bench.captures")
             folder = tmp_path / captures.slug(name)
             folder.mkdir()
             (folder / "photo-1.jpg").write_bytes(b"jpeg")
@@ -289,7 +289,7 @@ def test_a_row_that_fails_is_named_and_the_others_go_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def run(command: list[str], **_: object) -> Any:
-        failed = command[-1] == "a"
+        failed = command[-2] == "a"
         done = captures.subprocess.CompletedProcess[str](command, int(failed))
         done.stdout, done.stderr = f"read\n{json.dumps(FIGURES)}\n", "Traceback\nCaptureError: too few\n"
         return done

@@ -17,6 +17,7 @@ BENCHES = {
     "photos": "photos to points: seconds per stage, and distance from a surface that is known",
     "matching": "photos that are hard to place: placed, errors of the cameras, by SIFT and with the network's matches",
     "captures": "captures to assets beside held-out photos: holes, leaks, likeness, seconds",
+    "rendered": "photos rendered of what is hard to capture, beside the true surface: depth by luma, openings",
     "texture": "seconds and CPU seconds of each level's texture, held-out likeness; --old COMMIT beside it",
     "single-image": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
     "delivery": "what reaches a headset: bytes, seconds on the wire and to import, errors of the levels of detail",

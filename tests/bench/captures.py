@@ -53,10 +53,10 @@ from tests.bench.photo_sets import (
     exposure_steps,
     film,
     fruit,
+    posed_shell,
     shell,
     statue,
     statue_points,
-    write_transforms,
 )
 from tests.bench.photos import SEEN_BY, is_seen
 from tests.support import scenes
@@ -115,18 +115,6 @@ def _fruit(folder: Path | None = None) -> Row:
     return replace(_of(known, np.asarray(points)), normals=known.truth.face_normals[face])
 
 
-def _posed_shell(folder: Path, views: int) -> Row:
-    known = shell(folder / "photos", views, **_PHONE)
-    assert known.intrinsics is not None
-    lens = known.intrinsics
-    given = folder / "given"
-    given.mkdir()
-    # nerfstudio's principal point has the first pixel's centre at 0.5.
-    named = {"w": lens.width, "h": lens.height, "fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx + 0.5}
-    write_transforms(given, known.source, {**named, "cy": lens.cy + 0.5}, known.cameras)
-    return _of(replace(known, source=given))
-
-
 def _garment(folder: Path, *, depth: bool) -> Row:
     simulate_capture(garment_scene(), folder / "walk")
     return Row(read_capture(folder / "walk" if depth else folder / "walk" / "images"))
@@ -168,7 +156,7 @@ ROWS: dict[str, Callable[[Path], Row]] = {
     "statue, 32 photos": lambda folder: _of(statue(), statue_points()),
     "statue, cameras given": lambda folder: _of(statue(folder), statue_points()),
     "shell, 25 photos": lambda folder: _of(shell(folder, 25, **_PHONE)),
-    "shell, 50 photos, cameras given": lambda folder: _posed_shell(folder, 50),
+    "shell, 50 photos, cameras given": lambda folder: _of(posed_shell(folder, 50, **_PHONE)),
     "shell, exposure steps": lambda folder: _of(shell(folder, 25, gains=exposure_steps(25), **_PHONE)),
     "shell, glossy": lambda folder: _of(shell(folder, 25, gloss=_GLOSS, **_PHONE)),
     "shell, film": lambda folder: _of(film(folder, **_PHONE)),
@@ -180,48 +168,62 @@ ROWS: dict[str, Callable[[Path], Row]] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Made:
+    """The last bundle of a row, the frames that it is made from and compared with, and how long it took."""
+
+    bundle: Bundle
+    frames: tuple[Frame, ...]
+    held_out: tuple[Frame, ...]
+    seconds: float
+
+
+def make(row: Row) -> Made:
+    """Make the asset of a row's capture, without the photos that are held out."""
+    began = time.perf_counter()
+    capture = to_depth(row.capture) if row.capture.kind == "photos" else row.capture
+    spared = row.hold_out or -(-len(capture.frames) // _ONE_IN)
+    steps = reconstruct(capture, load_preset("draft"), hold_out=spared)
+    bundle = [step for step in steps if isinstance(step, Bundle)][-1]
+    seconds = time.perf_counter() - began
+    return Made(bundle, capture.frames, hold_out_frames(capture.frames, spared)[1], seconds)
+
+
 def one(name: str, out: Path | None = None) -> dict[str, Any]:
     """The figures of a row, measured in this process; None where there is none. out: folder for its pictures."""
     with tempfile.TemporaryDirectory() as folder:
         row = ROWS[name](Path(folder))
-        began = time.perf_counter()
-        capture = to_depth(row.capture) if row.capture.kind == "photos" else row.capture
-        spared = row.hold_out or -(-len(capture.frames) // _ONE_IN)
-        held_out = hold_out_frames(capture.frames, spared)[1]
-        made = [
-            step for step in reconstruct(capture, load_preset("draft"), hold_out=spared) if isinstance(step, Bundle)
-        ]
-        seconds = time.perf_counter() - began
-        bundle = made[-1]
+        made = make(row)
+        bundle = made.bundle
         if out:
-            _write_pictures(out, bundle)
+            write_pictures(out, bundle)
         return {
-            "placed": f"{len(capture.frames)} of {len(row.capture.photos or row.capture.frames)}",
-            "seconds": round(seconds, 1),
+            "placed": f"{len(made.frames)} of {len(row.capture.photos or row.capture.frames)}",
+            "seconds": round(made.seconds, 1),
             "texturing": round(bundle.manifest["seconds"]["TEXTURING"], 1),
             "triangles": bundle.manifest["quality"]["triangles"],
             "pieces": bundle.manifest["quality"]["components"],
-            **_closing_figures(bundle.manifest["quality"]),
-            **_photo_figures(bundle.manifest["quality"].get("photos") or {}),
-            "moved": _sharpness_when_moved(held_out),
-            **_figures_of_truth(row, bundle, held_out),
-            **_shares_of_points(row, bundle, capture.frames),
+            **closing_figures(bundle.manifest["quality"]),
+            **photo_figures(bundle.manifest["quality"].get("photos") or {}),
+            "moved": _sharpness_when_moved(made.held_out),
+            **_figures_of_truth(row, bundle, made.held_out),
+            **_shares_of_points(row, bundle, made.frames),
         }
 
 
-def _closing_figures(quality: Mapping[str, Any]) -> dict[str, Any]:
+def closing_figures(quality: Mapping[str, Any]) -> dict[str, Any]:
     grade = quality.get("grade")
     return {
         "border": round(quality["border_over_root"], 2),
         "fringe": round(quality["fringe"], 2),
-        "largest hole %": _percent(quality["largest_hole"]),
-        "filled %": _percent(quality["filled_area"]),
+        "largest hole %": percent(quality["largest_hole"]),
+        "filled %": percent(quality["filled_area"]),
         "grade": grade and grade["level"],
     }
 
 
-def _photo_figures(photos: Mapping[str, Any]) -> dict[str, Any]:
-    shares = {title: _percent(photos.get(key)) for key, title in SHARES.items()}
+def photo_figures(photos: Mapping[str, Any]) -> dict[str, Any]:
+    shares = {title: percent(photos.get(key)) for key, title in SHARES.items()}
     likeness = {title: None if photos.get(key) is None else round(photos[key], 3) for key, title in LIKENESS.items()}
     return {"held out": photos.get("photos"), **shares, **likeness}
 
@@ -244,17 +246,17 @@ def _sharpness_when_moved(frames: Sequence[Frame]) -> float:
     return round(float(np.mean(kept)), 3)
 
 
-def _percent(share: float | None) -> float | None:
+def percent(share: float | None) -> float | None:
     return None if share is None else round(100 * share, 2)
 
 
-def _write_pictures(out: Path, bundle: Bundle) -> None:
+def write_pictures(out: Path, bundle: Bundle) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for name, content in {**bundle.private, "preview.png": bundle.files["preview.png"]}.items():
         (out / name).write_bytes(content)
 
 
-def _mesh(bundle: Bundle) -> Mesh:
+def full_mesh(bundle: Bundle) -> Mesh:
     """The full mesh, in the capture's frame."""
     loaded = trimesh.load_mesh(BytesIO(bundle.files["mesh.ply"]), file_type="ply", process=False)
     return Mesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64))
@@ -266,10 +268,10 @@ def _figures_of_truth(row: Row, bundle: Bundle, held_out: Sequence[Frame]) -> di
     if row.known and row.known.truth is not None and row.known.intrinsics:
         photos = [posed_picture(texture_view(frame), np.eye(4)) for frame in held_out]
         outline = _Outline(row.known)
-        figures = mean_figures(check_surface(_mesh(bundle), photos, (), outline))
+        figures = mean_figures(check_surface(full_mesh(bundle), photos, (), outline))
     return {
-        "true cover %": _percent(figures and figures.cover),
-        "true leak %": _percent(figures and figures.leak),
+        "true cover %": percent(figures and figures.cover),
+        "true leak %": percent(figures and figures.leak),
     }
 
 
@@ -305,7 +307,7 @@ def _shares_of_points(row: Row, bundle: Bundle, frames: Sequence[Frame]) -> dict
     ours = np.stack([frame.camera_to_world[:3, 3] for frame in frames])
     theirs = np.stack([row.known.camera(frame.name)[:3, 3] for frame in frames])
     laid, _, _ = trimesh.registration.procrustes(theirs, ours, reflection=False)
-    mesh = _mesh(bundle)
+    mesh = full_mesh(bundle)
     made = sample(mesh, _SAMPLES, np.random.default_rng(0))
     points = row.points @ laid[:3, :3].T + laid[:3, 3]
     if row.capture.photos[0].camera_to_world is None:
@@ -318,7 +320,7 @@ def _shares_of_points(row: Row, bundle: Bundle, frames: Sequence[Frame]) -> dict
         points, normals = points[seen], (normals @ turn[:3, :3].T)[seen]
     gap, nearest = cKDTree(made.xyz).query(points, workers=-1)
     shares = {
-        title: _percent(float((gap < within * size).mean())) for title, within in zip(titles, _WITHIN, strict=True)
+        title: percent(float((gap < within * size).mean())) for title, within in zip(titles, _WITHIN, strict=True)
     }
     if normals is None:
         return {**shares, borne_out: None}
@@ -330,28 +332,33 @@ def _shares_of_points(row: Row, bundle: Bundle, frames: Sequence[Frame]) -> dict
     facing *= np.sign(np.einsum("nx,nx->n", facing, normals[apart]))[:, None]
     ours_alike = likeness_of_patches(made.xyz[nearest[apart]], facing, pictures, scene)
     refuted = ours_alike > theirs_alike + _CLEARER  # False where either is unknown
-    return {**shares, borne_out: _percent(float((gap < _BORNE_OUT * size).sum() / (len(gap) - refuted.sum())))}
+    return {**shares, borne_out: percent(float((gap < _BORNE_OUT * size).sum() / (len(gap) - refuted.sum())))}
 
 
 def main(arguments: list[str]) -> None:
     """Print the table, and write its pictures where a folder is given for them."""
     options = _parser().parse_args(arguments)
-    chosen = [name for name in ROWS if all(word in name for word in options.words)]
+    print_rows([name for name in ROWS if all(word in name for word in options.words)], options.out)
+
+
+def print_rows(names: Sequence[str], out: Path | None, *more: str, module: str = "tests.bench.captures") -> None:
+    """Print the table of rows that a module measures; it is called with a row's name, its folder or "", and `more`."""
     measured: dict[str, dict[str, Any]] = {}
-    for name, figures in _measured(chosen, options.out):
+    for name, figures in _measured(names, out, *more, module=module):
         if not measured:
             print(f"| capture | {' | '.join(figures)} |\n|{'---|' * (len(figures) + 1)}")
         measured[name] = figures
         print(f"| {name} | {' | '.join(map(_shown, figures.values()))} |", flush=True)
-        if options.out:
-            (options.out / "index.html").write_text(page(measured, options.out), encoding="utf-8")
+        if out:
+            (out / "index.html").write_text(page(measured, out), encoding="utf-8")
 
 
-def _measured(names: Sequence[str], out: Path | None) -> Iterator[tuple[str, dict[str, Any]]]:
+def _measured(
+    names: Sequence[str], out: Path | None, *more: str, module: str = "tests.bench.captures"
+) -> Iterator[tuple[str, dict[str, Any]]]:
     """Each row's figures, in the order of the names; a row that fails is named on the standard error output."""
     for name in names:
-        command = [sys.executable, "-m", "tests.bench.captures", name]
-        command += [str((out / slug(name)).resolve())] if out else []
+        command = [sys.executable, "-m", module, name, str((out / slug(name)).resolve()) if out else "", *more]
         done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
         if done.returncode:
             last = (done.stderr.strip() or f"ended with {done.returncode}").splitlines()[-1]
@@ -374,7 +381,7 @@ def page(measured: Mapping[str, Mapping[str, Any]], out: Path) -> str:
         rows = "".join(f"<tr><td>{html.escape(key)}<td>{_shown(value)}" for key, value in figures.items())
         parts.append(f"<h2>{html.escape(name)}</h2><table>{rows}</table>")
         folder = out / slug(name)
-        parts += [f'<img src="{folder.name}/{each.name}" alt="{each.stem}">' for each in sorted(folder.iterdir())]
+        parts += [f'<img src="{folder.name}/{each.name}" alt="{each.stem}">' for each in sorted(folder.glob("*.*g"))]
     return "\n".join(parts)
 
 
@@ -392,4 +399,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    print(json.dumps(one(sys.argv[1], *map(Path, sys.argv[2:]))))
+    print(json.dumps(one(sys.argv[1], Path(sys.argv[2]) if sys.argv[2] else None)))

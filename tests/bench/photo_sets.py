@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.fusion.orbit import meeting_point
 from capture2vr.edge.render.posed_picture import PosedPicture
 from tests.bench.data_files import data_file
+from tests.support.photos.rendered.photos import SEED, RenderedPhotos, arrange_photos, render_photos
 from tests.support.photos.walkaround import render_walkaround
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -239,6 +241,37 @@ def shell(folder: Path, views: int, size: tuple[int, int] = (1280, 960), **fault
     return PhotoSet(
         folder, poses, trimesh.Trimesh(walk.thing.vertices, walk.thing.faces, process=False), walk.intrinsics
     )
+
+
+def posed_shell(folder: Path, views: int, **faults: Any) -> PhotoSet:
+    """The walk around the shell, with its cameras as a `transforms.json` beside the photos."""
+    known = shell(folder / "photos", views, **faults)
+    assert known.intrinsics is not None
+    _write_cameras(folder / "given", known.source, known.intrinsics, known.cameras)
+    return replace(known, source=folder / "given")
+
+
+def rendered(name: str, folder: Path, *, render: bool = True) -> tuple[PhotoSet, RenderedPhotos]:
+    """The photos of a subject of `SUBJECTS` with their cameras, and all that is known of its shape.
+
+    render  whether the photos are to be made, and not in `folder` yet
+    """
+    if render:
+        with tempfile.TemporaryDirectory() as photos:
+            made = render_photos(name, Path(photos))
+            _write_cameras(folder, Path(photos), made.intrinsics, made.cameras)
+    else:
+        made = arrange_photos(name, np.random.default_rng(SEED))
+    truth = trimesh.Trimesh(made.shape.mesh.vertices, made.shape.mesh.faces, process=False)
+    return PhotoSet(folder, made.cameras, truth, made.intrinsics), made
+
+
+def _write_cameras(folder: Path, photos: Path, lens: Intrinsics, cameras: Mapping[str, Floats]) -> None:
+    """Copy photos into a folder, with their cameras, which have no distortion, as a `transforms.json`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    # nerfstudio's principal point has the first pixel's centre at 0.5.
+    named = {"w": lens.width, "h": lens.height, "fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx + 0.5}
+    write_transforms(folder, photos, {**named, "cy": lens.cy + 0.5}, cameras)
 
 
 def exposure_steps(views: int, seed: int = 0) -> Floats:

@@ -68,11 +68,16 @@ def half(mesh: Mesh, towards: tuple[float, float, float] = (3.0, 2.0, 1.0)) -> M
 def patch(shape: Callable[[Floats, Floats], list[Floats]], u_cells: int, v_cells: int) -> Mesh:
     """The surface (u,v) in [0,1]² -> [x,y,z], on a regular grid of triangles."""
     u, v = np.meshgrid(np.linspace(0, 1, u_cells + 1), np.linspace(0, 1, v_cells + 1), indexing="ij")
-    vertices = np.stack(np.broadcast_arrays(*shape(u, v)), axis=-1).reshape(-1, 3).astype(np.float64)
-    corner = np.arange((u_cells + 1) * (v_cells + 1)).reshape(u_cells + 1, v_cells + 1)
-    a, b, c, d = (corner[i : i + u_cells, j : j + v_cells].ravel() for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return unit(vertices, faces)
+    made = grid(np.stack(np.broadcast_arrays(*shape(u, v)), axis=-1).astype(np.float64))
+    return unit(made.vertices, made.faces)
+
+
+def grid(points: Floats) -> Mesh:
+    """Two triangles for each cell of a grid of points (R,C,3), where they are."""
+    rows, columns = points.shape[:2]
+    corner = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = corner[:-1, :-1].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel(), corner[:-1, 1:].ravel()
+    return Mesh(points.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
 
 
 def joined(*meshes: Mesh) -> Mesh:
