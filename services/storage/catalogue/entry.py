@@ -13,6 +13,7 @@ from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Json
 from capture2vr.storage.catalogue.asset_notes import Note, notes_of
 from capture2vr.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
+from capture2vr.storage.catalogue.held_back import is_held
 from capture2vr.storage.catalogue.visibility import Visibility, parse_visibility
 from capture2vr.storage.store import Head, Store
 
@@ -63,6 +64,16 @@ class Entry:
     def removed(self) -> bool:
         """Whether the asset was removed (hidden). Its files stay, so that it can be restored."""
         return bool(self.document.get("removed"))
+
+    @property
+    def grade(self) -> str:
+        """Level of the current version's grade; "" where nothing could tell, as of point clouds and older entries."""
+        return str(self.document.get("grade") or "")
+
+    @property
+    def held(self) -> bool:
+        """Whether the current version is held back, so that no list has the asset; one without any other is."""
+        return any(is_held(each) for each in self.versions if each["version"] == self.version)
 
     @property
     def visibility(self) -> Visibility | None:
