@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.sentences.documents import codes_as_json
 from capture2vr.storage.bundle import Json
-from capture2vr.storage.catalogue.held_back import grade_in
+from capture2vr.storage.catalogue.next_entry import grade_in
 from capture2vr.storage.catalogue.publish import PublishedAsset
 
 

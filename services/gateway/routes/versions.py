@@ -20,7 +20,7 @@ from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.webhooks.outbox import WebhookEvent
 from capture2vr.storage.catalogue.entry import Entry
-from capture2vr.storage.catalogue.held_back import grade_in
+from capture2vr.storage.catalogue.next_entry import grade_in
 from capture2vr.storage.catalogue.versions import UnknownVersion, read_version, restore_version
 
 router = APIRouter(prefix="/v1", tags=["assets"])

@@ -13,7 +13,6 @@ from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Json
 from capture2vr.storage.catalogue.asset_notes import Note, notes_of
 from capture2vr.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
-from capture2vr.storage.catalogue.held_back import is_held
 from capture2vr.storage.catalogue.visibility import Visibility, parse_visibility
 from capture2vr.storage.store import Head, Store
 
@@ -73,7 +72,7 @@ class Entry:
     @property
     def held(self) -> bool:
         """Whether the current version is held back, so that no list has the asset; one without any other is."""
-        return any(is_held(each) for each in self.versions if each["version"] == self.version)
+        return any(bool(each.get("held")) for each in self.versions if each["version"] == self.version)
 
     @property
     def visibility(self) -> Visibility | None:

@@ -1,4 +1,9 @@
-"""The catalogue entry of an asset with a new version: its current one, or one that is held back beside it."""
+"""The catalogue entry of an asset with a new version: its current one, or one that is held back beside it.
+
+Held back is what its grade says to shoot again: made and stored, but in no list until somebody restores that version,
+as any earlier one. It does not take the place of one that is served. Where there is none it is the asset's current
+version, which its owner can open by the key.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,24 @@ from typing import Any
 from capture2vr.storage.bundle import Bundle, Json
 from capture2vr.storage.catalogue.compare_and_swap import now_iso
 from capture2vr.storage.catalogue.entry import Entry
-from capture2vr.storage.catalogue.held_back import is_held, level_of
 from capture2vr.storage.catalogue.job_versions import ends_job
 from capture2vr.storage.catalogue.stored_file import StoredFile
 
 SCHEMA = 1
+HELD_LEVEL = "shoot again"
 MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "origin")
+
+
+def grade_in(manifest: Mapping[str, Json]) -> Mapping[str, Any] | None:
+    """Return the grade in a manifest: level, because, advice; None where it has none, as of point clouds."""
+    grade = (manifest.get("quality") or {}).get("grade")
+    return grade if isinstance(grade, Mapping) and "level" in grade else None
+
+
+def level_of(manifest: Mapping[str, Json]) -> str | None:
+    """Return the level of the grade in a manifest; None where it has none."""
+    grade = grade_in(manifest)
+    return None if grade is None else str(grade["level"])
 
 
 def new_record(
@@ -45,7 +62,7 @@ def next_document(
     another is served, or was removed.
     """
     versions = [*(present.versions if present else ()), record]
-    if is_held(record) and present and (present.removed or not present.held):
+    if record.get("held") and present and (present.removed or not present.held):
         return {**present.document, "versions": versions}
     return {
         "schema": SCHEMA,

@@ -26,9 +26,8 @@ from capture2vr.storage.catalogue.entry import (
     entry_name,
     read_entry,
 )
-from capture2vr.storage.catalogue.held_back import HELD_LEVEL, is_held, level_of
 from capture2vr.storage.catalogue.job_versions import existing_version, raise_fence
-from capture2vr.storage.catalogue.next_entry import SCHEMA, lods_of, new_record, next_document
+from capture2vr.storage.catalogue.next_entry import HELD_LEVEL, SCHEMA, level_of, lods_of, new_record, next_document
 from capture2vr.storage.catalogue.proof import sign_proof
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.catalogue.stored_file import StoredFile, put_content
@@ -231,7 +230,9 @@ def _add_version(
 
 
 def _published_asset(key: str, record: Mapping[str, Json]) -> PublishedAsset:
-    return PublishedAsset(key, int(record["version"]), str(record["state"]), str(record["manifest"]), is_held(record))
+    return PublishedAsset(
+        key, int(record["version"]), str(record["state"]), str(record["manifest"]), bool(record.get("held"))
+    )
 
 
 def move_alias(store: Store, asset: PublishedAsset) -> None:

@@ -10,8 +10,7 @@ from capture2vr.storage.bundle import Json, content_name, sha256_hex
 from capture2vr.storage.catalogue.change_entry import change_entry
 from capture2vr.storage.catalogue.entry import Entry, read_entry
 from capture2vr.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
-from capture2vr.storage.catalogue.held_back import level_of
-from capture2vr.storage.catalogue.next_entry import MANIFEST_FIELDS
+from capture2vr.storage.catalogue.next_entry import MANIFEST_FIELDS, level_of
 from capture2vr.storage.catalogue.proof import sign_proof
 from capture2vr.storage.catalogue.publish import PublishedAsset, move_alias
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
