@@ -42,6 +42,7 @@ OPTIONS = st.builds(
     names=st.builds(AssetNames, WORDS, WORDS, st.lists(WORDS, max_size=3, unique_by=str.casefold).map(tuple)),
     collection=st.sampled_from(["", "ada"]),
     visibility=st.sampled_from(["", *OPTION_TABLE["visibility"].choices]),
+    publish_anyway=st.booleans(),
 )
 GIVEN: dict[str, tuple[JobOptions, str]] = {
     "preset": (JobOptions(preset="draft"), "draft"),
@@ -56,9 +57,10 @@ GIVEN: dict[str, tuple[JobOptions, str]] = {
     "labels": (JobOptions(names=AssetNames(labels=("summer",))), "summer"),
     "collection": (JobOptions(collection="ada"), "ada"),
     "visibility": (JobOptions(visibility="public"), "public"),
+    "publish_anyway": (JobOptions(publish_anyway=True), ""),
 }
-"""For every option: a job that gives it alone, and the value of its flag."""
-AT_A_GATEWAY = {"label", "description", "labels", "visibility"}
+"""For every option: a job that gives it alone, and the value of its flag; "" for a switch."""
+AT_A_GATEWAY = {"label", "description", "labels", "visibility", "publish_anyway"}
 """Options that a run on this machine has not: nobody else sees what it makes."""
 
 
@@ -132,7 +134,7 @@ def test_the_command_line_gives_the_options_whole(
     monkeypatch.setattr(called[command], record)
     monkeypatch.setattr("capture2vr.cli.stop_signals.exit_on_signals", lambda: None)
     others = {"run": ["-o", "out"], "push": ["--key", "dress"]}
-    flag = [OPTION_TABLE[name].flag, GIVEN[name][1]] if name else []
+    flag = [each for each in (OPTION_TABLE[name].flag, GIVEN[name][1]) if each] if name else []
     said = CliRunner().invoke(app, [command, "scan.ply", *others[command], *flag], catch_exceptions=False)
     assert said.exit_code == 0, said.output
     expected = GIVEN[name][0] if name else DEFAULT_OPTIONS

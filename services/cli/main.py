@@ -27,6 +27,7 @@ from capture2vr.cli.options import (
     Open,
     PresetHere,
     PresetThere,
+    PublishAnyway,
     Tags,
     TargetOption,
     Trusted,
@@ -171,6 +172,7 @@ def push(
     edits: EditsFile = None,
     target: TargetOption = "",
     visibility: VisibilityOption = None,
+    publish_anyway: PublishAnyway = False,
 ) -> None:
     """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
     from capture2vr.cli.remote.push import continue_capture, push_capture
@@ -188,6 +190,7 @@ def push(
         names=AssetNames(label, description, tuple(tag or ())),
         collection=collection,
         visibility=visibility or "",
+        publish_anyway=publish_anyway,
     )
     if bool(key) == bool(continued):
         raise BadInput("name the asset: --key for a new capture, or --continue to add photos to an earlier one")
@@ -298,6 +301,20 @@ def restore(
     from capture2vr.cli.remote.assets import set_removed
 
     set_removed(key, gateway, "restore", collection=collection)
+
+
+@app.command()
+def keep(
+    key: Annotated[str, typer.Argument(help="Asset key.")],
+    version: Annotated[
+        int | None, typer.Option(min=1, help="Number of the version. Default: the newest that is held back.")
+    ] = None,
+    gateway: Gateway = DEFAULT_GATEWAY,
+) -> None:
+    """Publish a version that was held back because its grade says to shoot again."""
+    from capture2vr.cli.remote.assets import keep as keep_held
+
+    keep_held(key, gateway, version=version)
 
 
 @app.command()

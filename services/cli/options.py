@@ -46,6 +46,7 @@ Label = Annotated[str, _job_option("label")]
 Description = Annotated[str, _job_option("description")]
 Tags = Annotated[list[str] | None, _job_option("labels")]
 Collection = Annotated[str, _job_option("collection", envvar="STORAGE_COLLECTION")]
+PublishAnyway = Annotated[bool, _job_option("publish_anyway")]
 VisibilityOption = Annotated[VisibilityName | None, _job_option("visibility")]
 
 

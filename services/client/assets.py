@@ -22,6 +22,7 @@ class ListedAsset:
     state    "preview", "refined" or "removed"
     updated  time of the last change, ISO 8601
     bytes    size of all files; None where it is not known
+    grade    "good", "usable", "incomplete" or "shoot again"; "" where nothing could tell
     view     path of its page at the gateway
     """
 
@@ -33,6 +34,7 @@ class ListedAsset:
     updated: str
     bytes: int | None
     view: str
+    grade: str = ""
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> ListedAsset:
@@ -46,6 +48,7 @@ class ListedAsset:
             updated=str(row["updated"]),
             bytes=row["bytes"],
             view=str(row["view"]),
+            grade=str(row.get("grade", "")),
         )
 
 

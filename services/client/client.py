@@ -13,6 +13,7 @@ from capture2vr.client.assets import ListedAsset, assets_of
 from capture2vr.client.download import download
 from capture2vr.client.http import client_of, reaching
 from capture2vr.client.jobs import JOB_TIMEOUT, create_job, follow, raise_unless_succeeded
+from capture2vr.client.keep import keep_version
 from capture2vr.client.names import check_collection, check_id, check_key
 from capture2vr.client.nouns import JobProgress, RemoteJob, StoredCapture, UploadProgress
 from capture2vr.client.pull import PulledAsset, pull
@@ -166,6 +167,19 @@ class Client:
         check_collection(collection)
         with reaching(self.gateway):
             yield from assets_of(self._http, collection, {"label": label} if label else {})
+
+    def keep(self, key: str, *, version: int | None = None) -> int:
+        """Publish a version that was held back because its grade says to shoot again, and return its new number.
+
+        version  its number, such as that of the job; None: the newest that is held back
+
+        >>> client.keep("sphere")
+        Traceback (most recent call last):
+            ...
+        capture2vr.errors.BadInput: ...
+        """
+        with reaching(self.gateway):
+            return keep_version(self._http, key, version)
 
     def pull(
         self,

@@ -106,6 +106,9 @@ class RemoteJob:
     version     of the asset that it has published; 0: none yet
     error       one line for people, "" where it has not failed; error_code: for programs
     warnings    sentences for people
+    grade       of that version: "good", "usable", "incomplete" or "shoot again"; "" where nothing could tell
+    because     the grade's cause, advice: what to do; "" for a good one
+    held        whether that version is held back, because it says to shoot again: no list has it until `Client.keep`
     """
 
     id: str
@@ -121,6 +124,10 @@ class RemoteJob:
     error: str
     error_code: str
     warnings: tuple[str, ...]
+    grade: str = ""
+    because: str = ""
+    advice: str = ""
+    held: bool = False
 
     @property
     def has_ended(self) -> bool:
@@ -131,6 +138,7 @@ class RemoteJob:
     def of(cls, job: Mapping[str, Any]) -> RemoteJob:
         """Convert a job of the API."""
         error, published = job["error"] or {}, job["asset"] or job["preview"] or {}
+        grade = published.get("grade") or {}
         return cls(
             id=str(job["id"]),
             state=job["state"],
@@ -145,4 +153,8 @@ class RemoteJob:
             error=str(error.get("detail", "")),
             error_code=str(error.get("code", "")),
             warnings=tuple(job["warnings"]),
+            grade=str(grade.get("level", "")),
+            because=str(grade.get("because", "")),
+            advice=str(grade.get("advice", "")),
+            held=bool(published.get("held", False)),
         )

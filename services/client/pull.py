@@ -165,8 +165,11 @@ def default_cache() -> Path:
 
 
 def _first_collection(client: httpx.Client, key: str) -> str:
-    """Ask the gateway for the collections of an asset, and return the first. Raises BadInput."""
-    names = parse_answer(client.get(f"/v1/assets/{key}")).get("collections") or [DEFAULT_COLLECTION]
+    """Ask the gateway for the first collection of an asset. Raises BadInput, also for one that is held back."""
+    entry = parse_answer(client.get(f"/v1/assets/{key}"))
+    if entry.get("held"):
+        raise BadInput(f"asset {key} is held back: its grade says to shoot again; `capture2vr keep {key}` publishes it")
+    names = entry.get("collections") or [DEFAULT_COLLECTION]
     name = str(names[0])
     check_collection(name)
     return name

@@ -80,7 +80,7 @@ class AssetMaker:
         return MeasuredSurface(filled, resolution, certificate)
 
     def compare_with_photos(self, surface: MeasuredSurface) -> MeasuredSurface:
-        """Add the comparison with photos, which takes a second: the first bundle is published without it."""
+        """Add the comparison with photos, which takes a second: it tells whether a draft is held back."""
         with self.clock("EXTRACTING"):
             check = check_surface_with_photos(surface.mesh_unit, self.subject.colours, self.subject.unit)
             return replace(surface, check=check, certificate=replace(surface.certificate, photos=check.figures))

@@ -83,6 +83,7 @@ class JobRequest(BaseModel):
     fill: Annotated[FillName, _described("fill")] = ""
     box: Annotated[list[float] | None, _described("box", examples=[[0.2, 0.1, 0.8, 0.95]])] = None
     visibility: Annotated[Literal["", VisibilityName], _described("visibility")] = ""
+    publish_anyway: Annotated[bool, _described("publish_anyway")] = False
     edits: Annotated[Edits, _described("edits")] = NO_EDITS
 
     @property
@@ -178,14 +179,29 @@ class ProblemView(BaseModel):
     hints_i18n: AllCoded = []
 
 
+class GradeView(BaseModel):
+    """How good a version is. `because` is the cause and `advice` what to do, both "" for a good one."""
+
+    level: Literal["good", "usable", "incomplete", "shoot again"]
+    because: str
+    because_i18n: Coded = None
+    advice: str
+    advice_i18n: Coded = None
+
+
 class PublishedView(BaseModel):
-    """A published version of the asset. `collection` is the one that lists it, "" if the worker does not report it."""
+    """A published version of the asset. `collection` is the one that lists it, "" if the worker does not report it.
+    `grade` is null where nothing could tell, as of point clouds. `held`: its grade says to shoot again, so it is held
+    back: no list has it, and an earlier version goes on being served, until it is restored.
+    """
 
     key: str
     version: int
     state: str
     manifest: str
     collection: str = ""
+    grade: GradeView | None = None
+    held: bool = False
 
 
 class Links(BaseModel):
@@ -341,7 +357,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def _published(asset: Mapping[str, Any] | None) -> PublishedView | None:
-    return PublishedView.model_validate(asset) if asset else None
+    return PublishedView.model_validate(for_reader(asset)) if asset else None
 
 
 def _collection(job: Job) -> str:

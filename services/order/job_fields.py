@@ -41,6 +41,7 @@ class JobFields(ReconstructionFields, total=False):
     description  some lines about the asset; labels: its search words
     collection   the one that lists the asset
     visibility   who may read the asset besides its tenant
+    publish_anyway  whether what its grade says to shoot again is published all the same
     """
 
     preset: str
@@ -49,6 +50,7 @@ class JobFields(ReconstructionFields, total=False):
     labels: Sequence[str]
     collection: str
     visibility: VisibilityName
+    publish_anyway: bool
 
 
 def options_of(fields: JobFields) -> JobOptions:

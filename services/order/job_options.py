@@ -43,6 +43,7 @@ class JobOptions:
     names       of the asset; without a label, its key
     collection  collection that lists the asset; "": the default of whoever runs the job
     visibility  of the asset; "": as it is, or as its collection
+    publish_anyway  whether what its grade says to shoot again is published all the same
     """
 
     preset: str = ""
@@ -55,6 +56,7 @@ class JobOptions:
     names: AssetNames = UNNAMED
     collection: str = ""
     visibility: Literal["", VisibilityName] = ""
+    publish_anyway: bool = False
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> JobOptions:
@@ -77,6 +79,7 @@ class JobOptions:
             names=AssetNames.of(document),
             collection=document.get("collection", ""),
             visibility=document.get("visibility", ""),
+            publish_anyway=bool(document.get("publish_anyway", False)),
         )
 
     @property
@@ -94,6 +97,7 @@ class JobOptions:
             "description": self.names.description,
             "labels": list(self.names.labels),
             "visibility": self.visibility,
+            "publish_anyway": self.publish_anyway,
             "edits": self.edits.as_json,
         }
 

@@ -86,5 +86,10 @@ OPTION_TABLE = {
         "as it is, or as its collection",
         get_args(VisibilityName),
     ),
+    "publish_anyway": OptionRow(
+        "--publish-anyway",
+        "Publish it even if its grade says to shoot again; otherwise it is held back then: no list has it, and an "
+        "earlier version goes on being served, until somebody keeps it.",
+    ),
 }
 """By the names that the API, the jobs database and `JobOptions` use, in the order in which a job is stored."""

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import capture2vr
+from capture2vr.cli.remote.assets import keep
+from capture2vr.cli.remote.push import push_capture
 from capture2vr.client import client as client_module
 from capture2vr.client.client import Client
 from capture2vr.client.nouns import UploadProgress
@@ -80,6 +82,30 @@ def test_what_the_callers_hear_of_and_what_goes_wrong(served: Served, cloud: Pat
             client.pull("sphere", tmp_path / "out", cache=tmp_path / "empty")
         assert broken.value.code == "FILE_MISSING"
         assert not (tmp_path / "out").exists()
+
+
+def test_what_is_held_back_is_kept(
+    served: Served, cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    served.script["grade"] = "shoot again"
+    with Client(served.url) as client:
+        job = client.wait(client.start(client.upload(cloud / "sphere.npy"), "sphere"))
+        assert (job.grade, job.held, job.version) == ("shoot again", True, 2)
+        assert job.because.startswith("the surface is in shreds")
+        assert list(client.assets()) == []
+        with pytest.raises(BadInput, match=r"held back.*capture2vr keep sphere"):
+            client.pull("sphere", tmp_path / "out")
+        assert client.keep("sphere") == 3
+        assert [(each.key, each.grade) for each in client.assets()] == [("sphere", "shoot again")]
+        assert client.pull("sphere", tmp_path / "out").version == 3
+        with pytest.raises(BadInput, match="no newer version than 3"):
+            client.keep("sphere")
+    push_capture(cloud / "sphere.npy", served.url, key="ball")
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Shoot again: the surface is in shreds" in said
+    assert "`capture2vr keep ball --version 2` publishes it" in said
+    keep("ball", served.url, version=None)
+    assert "ball is published, as version 3" in capsys.readouterr().err
 
 
 def test_a_gateway_that_is_not_there_and_arguments_that_cannot_be_right(tmp_path: Path) -> None:

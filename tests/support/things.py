@@ -34,6 +34,11 @@ def box(
     return bundle_of(label, glbs, [len(mesh.faces) for mesh in levels], size, state, files or {}, **manifest)
 
 
+def graded(level: str) -> dict[str, Json]:
+    """The field of a manifest with a grade of this level."""
+    return {"quality": {"grade": {"level": level, "because": "the surface is in shreds", "advice": "Make it matt."}}}
+
+
 def bundle_of(
     label: str,
     glbs: Mapping[str, bytes],

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 
+from capture2vr.cli.grade_line import grade_line, other_warnings
+
 _ROWS = {
     "held_out": ("held-out points", "not used for either surface; if 0, the input points are used instead", "{:,}"),
     "held_out_mean": ("their mean distance", "to the surface; the longest side is 1", "{:.5f}"),
@@ -93,7 +95,10 @@ def report_page(
             *_stages(report["seconds"]),
             *_photos(report["capture"]["photos"]),
             *_unseen(report["capture"]["unseen"]),
-            *(f'<p class="warning">{escape(warning)}</p>' for warning in other_warnings(report)),
+            *(
+                f'<p class="warning">{escape(warning)}</p>'
+                for warning in other_warnings(report["quality"].get("grade"), report["warnings"])
+            ),
             "</html>\n",
         ]
     )
@@ -146,18 +151,6 @@ def _compared_photos(compared: Mapping[str, bytes]) -> Iterator[str]:
     yield "blue: surface where the photo shows background</small></p>"
     for name, content in photos.items():
         yield f'<img src="{_jpeg(content)}" alt="{escape(name)}">'
-
-
-def grade_line(grade: Mapping[str, str]) -> str:
-    """Return an asset's grade as one line: the word, then why and what to do."""
-    why = f": {grade['because']}. {grade['advice']}" if grade["because"] else ""
-    return f"{grade['level'].capitalize()}{why}"
-
-
-def other_warnings(report: Mapping[str, Any]) -> list[str]:
-    """Return a report's warnings without the one that says the grade, which stands on a line of its own."""
-    because = (report["quality"].get("grade") or {}).get("because")
-    return [warning for warning in report["warnings"] if not because or because not in warning]
 
 
 def _grade(grade: Mapping[str, str] | None) -> Iterator[str]:

@@ -10,15 +10,16 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from capture2vr.cli.grade_line import grade_line, other_warnings
 from capture2vr.cli.local.reference_mesh import read_mesh
-from capture2vr.cli.local.report import grade_line, other_warnings, report_page
+from capture2vr.cli.local.report import report_page
 from capture2vr.cli.progress import console, warn
 from capture2vr.client.earlier_results import BUNDLE, PICTURES, PREVIEW, SOURCE, files_of_both, remove_earlier
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.errors import BadInput
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
-from capture2vr.storage.catalogue.publish import PublishedAsset, publish
+from capture2vr.storage.catalogue.publish import PublishedAsset, PublishPolicy, publish
 from capture2vr.storage.local import LocalStore
 
 _PICTURE = "preview.png"  # name of the picture in bundles of both states
@@ -65,7 +66,11 @@ class Results:
         for name, content in bundle.private.items():
             (self.out / name).write_bytes(content)
         store = LocalStore(self.out / BUNDLE)
-        asset: PublishedAsset = publish(bundle, store, key=self._key, job=self._job, collection=self._collection)
+        # Whoever ran this has the files in any case, so the bundle beside them lists them whatever their grade.
+        policy = PublishPolicy(anyway=True)
+        asset: PublishedAsset = publish(
+            bundle, store, key=self._key, job=self._job, collection=self._collection, policy=policy
+        )
         quality = bundle.manifest["quality"]
         self._write_report(
             {
@@ -150,6 +155,6 @@ def print_result(out: Path, report: dict[str, Any]) -> None:
             f"distance to the reference, after alignment: median {found['median']:.3%} of its size, 90th percentile "
             f"{found['p90']:.3%}; {found['complete']:.1%} of the reference is within 1 %"
         )
-    for warning in other_warnings(report):
+    for warning in other_warnings(quality.get("grade"), report["warnings"]):
         warn(warning)
     console.print(f"report: {out / 'report.html'}; all figures: {out / 'report.json'}")

@@ -1,4 +1,4 @@
-"""`capture2vr ls | rm | restore`: list the assets of a collection, remove (hide) one, restore it."""
+"""`capture2vr ls | rm | restore | keep`: list a collection's assets, remove (hide) one, restore it, keep a held one."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from capture2vr.cli.progress import console, print_listing
 from capture2vr.client.answers import parse_answer
 from capture2vr.client.assets import assets_of
 from capture2vr.client.http import open_gateway
+from capture2vr.client.keep import keep_version
 from capture2vr.client.names import check_collection, check_key
 from capture2vr.errors import BadInput
 
@@ -60,12 +61,12 @@ def list_assets(gateway: str, *, collection: str, wanted: AssetFilter) -> int:
     with open_gateway(gateway) as client:
         rows = list(assets_of(client, collection, wanted.query()))
     table = Table(title=f"{collection}: {len(rows):,} assets")
-    for column in ("key", "label", "labels", "version", "state", "updated", "MB"):
+    for column in ("key", "label", "labels", "version", "state", "grade", "updated", "MB"):
         table.add_column(column, justify="right" if column in ("version", "MB") else "left", overflow="fold")
     for row in rows:
         names = (row.key, row.label, ", ".join(row.labels))
         size = "" if row.bytes is None else f"{row.bytes / _MB:.1f}"
-        facts = (str(row.version), row.state, row.updated, size)
+        facts = (str(row.version), row.state, row.grade, row.updated, size)
         table.add_row(
             *(Text(printable(cell)) for cell in (*names, *facts))
         )  # Text, because labels may look like markup
@@ -86,6 +87,13 @@ def set_removed(key: str, gateway: str, verb: str, *, collection: str) -> None:
         answer = parse_answer(client.post(f"/v1/assets/{key}/{verb}", params={"collection": collection}))
     state = "removed; its files are kept, and `restore` brings it back" if answer["removed"] else "available"
     console.print(f"{key} version {answer['version']} is {state}")
+
+
+def keep(key: str, gateway: str, *, version: int | None) -> None:
+    """Publish a version that was held back. version: None: the newest of them. Raises BadInput."""
+    with open_gateway(gateway) as client:
+        number = keep_version(client, key, version)
+    console.print(f"{key} is published, as version {number}: {gateway.rstrip('/')}/view/{key}", soft_wrap=True)
 
 
 def _begin_of(day: date) -> datetime:

@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 
+from capture2vr.cli.grade_line import grade_line, other_warnings
 from capture2vr.cli.progress import StageBar, console, warn
 from capture2vr.client.http import open_gateway
 from capture2vr.client.jobs import JOB_TIMEOUT, create_job, follow, newest_job, raise_unless_succeeded
@@ -71,7 +72,8 @@ def _followed(client: httpx.Client, job: dict[str, Any], bar: StageBar, gateway:
         job = state
         bar.show(job["stage"] or job["state"], job["fraction"], job.get("message") or "", job.get("losses"))
         asset = job.get("asset")
-        if asset and asset["state"] == "preview" and not is_shown:  # of a draft it is the last state too
+        is_preview = asset and asset["state"] == "preview" and not asset.get("held")
+        if is_preview and not is_shown:  # of a draft it is the last state too
             console.print(f"preview  {gateway}/view/{key}")
             is_shown = True
     return job
@@ -79,8 +81,16 @@ def _followed(client: httpx.Client, job: dict[str, Any], bar: StageBar, gateway:
 
 def _outcome(job: dict[str, Any], gateway: str) -> dict[str, Any]:
     raise_unless_succeeded(job)
-    for warning in job.get("warnings") or []:
+    key, asset = job["asset_key"], job["asset"]
+    grade = asset.get("grade")
+    if grade:
+        console.print(grade_line(grade))
+    for warning in other_warnings(grade, job.get("warnings") or []):
         warn(warning)
+    if asset.get("held"):
+        console.print(f"done in {job['elapsed_s']:.1f} s, and held back: no list has it; {gateway}/#job={job['id']}")
+        console.print(f"`capture2vr keep {key} --version {asset['version']}` publishes it all the same")
+        return job
     where = f", in collection {job['collection']}" if job["collection"] else ""
-    console.print(f"done in {job['elapsed_s']:.1f} s: {gateway}/view/{job['asset_key']}{where}")
+    console.print(f"done in {job['elapsed_s']:.1f} s: {gateway}/view/{key}{where}")
     return job

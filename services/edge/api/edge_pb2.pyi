@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut", "tenant", "token", "visibility", "capture", "description", "labels", "edits")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut", "tenant", "token", "visibility", "capture", "description", "labels", "edits", "publish_anyway")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -60,6 +60,7 @@ class Header(_message.Message):
     DESCRIPTION_FIELD_NUMBER: _ClassVar[int]
     LABELS_FIELD_NUMBER: _ClassVar[int]
     EDITS_FIELD_NUMBER: _ClassVar[int]
+    PUBLISH_ANYWAY_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
     preset: str
@@ -80,7 +81,8 @@ class Header(_message.Message):
     description: str
     labels: _containers.RepeatedScalarFieldContainer[str]
     edits: str
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ..., tenant: _Optional[str] = ..., token: _Optional[str] = ..., visibility: _Optional[str] = ..., capture: _Optional[str] = ..., description: _Optional[str] = ..., labels: _Optional[_Iterable[str]] = ..., edits: _Optional[str] = ...) -> None: ...
+    publish_anyway: bool
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ..., tenant: _Optional[str] = ..., token: _Optional[str] = ..., visibility: _Optional[str] = ..., capture: _Optional[str] = ..., description: _Optional[str] = ..., labels: _Optional[_Iterable[str]] = ..., edits: _Optional[str] = ..., publish_anyway: _Optional[bool] = ...) -> None: ...
 
 class Box(_message.Message):
     __slots__ = ("left", "top", "right", "bottom")
@@ -166,18 +168,34 @@ class AnchorPoints(_message.Message):
     def __init__(self, xyz_m: _Optional[_Iterable[float]] = ..., rgb: _Optional[bytes] = ...) -> None: ...
 
 class Published(_message.Message):
-    __slots__ = ("asset_key", "version", "state", "manifest", "collection")
+    __slots__ = ("asset_key", "version", "state", "manifest", "collection", "grade", "held")
     ASSET_KEY_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     MANIFEST_FIELD_NUMBER: _ClassVar[int]
     COLLECTION_FIELD_NUMBER: _ClassVar[int]
+    GRADE_FIELD_NUMBER: _ClassVar[int]
+    HELD_FIELD_NUMBER: _ClassVar[int]
     asset_key: str
     version: int
     state: str
     manifest: str
     collection: str
-    def __init__(self, asset_key: _Optional[str] = ..., version: _Optional[int] = ..., state: _Optional[str] = ..., manifest: _Optional[str] = ..., collection: _Optional[str] = ...) -> None: ...
+    grade: Grade
+    held: bool
+    def __init__(self, asset_key: _Optional[str] = ..., version: _Optional[int] = ..., state: _Optional[str] = ..., manifest: _Optional[str] = ..., collection: _Optional[str] = ..., grade: _Optional[_Union[Grade, _Mapping]] = ..., held: _Optional[bool] = ...) -> None: ...
+
+class Grade(_message.Message):
+    __slots__ = ("level", "because", "advice", "i18n")
+    LEVEL_FIELD_NUMBER: _ClassVar[int]
+    BECAUSE_FIELD_NUMBER: _ClassVar[int]
+    ADVICE_FIELD_NUMBER: _ClassVar[int]
+    I18N_FIELD_NUMBER: _ClassVar[int]
+    level: str
+    because: str
+    advice: str
+    i18n: str
+    def __init__(self, level: _Optional[str] = ..., because: _Optional[str] = ..., advice: _Optional[str] = ..., i18n: _Optional[str] = ...) -> None: ...
 
 class Failure(_message.Message):
     __slots__ = ("code", "message", "file", "hints", "retryable", "stage", "i18n")

@@ -25,6 +25,7 @@ def header_fields(options: JobOptions) -> dict[str, Any]:
         "box": wire_box(options.box),
         "cut": options.cut,
         "visibility": options.visibility,
+        "publish_anyway": options.publish_anyway,
         "edits": "" if options.edits == NO_EDITS else options.edits.text,
     }
 
@@ -42,6 +43,7 @@ def options_of(header: pb.Header) -> JobOptions:
         names=AssetNames(header.label, header.description, tuple(header.labels)),
         collection=header.collection,
         visibility=check_choice("visibility", header.visibility),
+        publish_anyway=header.publish_anyway,
     )
 
 

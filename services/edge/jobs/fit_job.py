@@ -22,7 +22,7 @@ from capture2vr.edge.pipeline import PreviewKept, bundles
 from capture2vr.edge.preset import AUTOMATIC, Preset, memory_bytes
 from capture2vr.edge.progress import Bar, Progress
 from capture2vr.edge.worker.capabilities import Capabilities
-from capture2vr.edge.worker.coded_messages import coded_progress
+from capture2vr.edge.worker.coded_messages import coded_progress, coded_published
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import Report
 from capture2vr.edge.worker.memory_budget import MemoryBudget
@@ -102,7 +102,7 @@ class FieldFitter:
                     case Bundle():
                         began = time.perf_counter()
                         asset = self._publish_bundle(step, request, bar.reached, report)
-                        report(_published_message(asset, request.options.collection))
+                        report(coded_published(asset, step.manifest, request.options.collection))
                         publishing += time.perf_counter() - began
                         warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
                         # Only the preview tells how much memory the fit takes. A preview may come again after the fit.
@@ -132,7 +132,7 @@ class FieldFitter:
                 fence=request.fence,
                 collection=request.options.collection,
                 visibility=parse_visibility(request.options.visibility),
-                policy=replace(self._policy, proceed=lambda: report(publishing)),
+                policy=replace(self._policy, anyway=request.options.publish_anyway, proceed=lambda: report(publishing)),
             )
         except StaleFence:
             message = say("another_worker_has_taken_over")
@@ -195,13 +195,3 @@ class FieldFitter:
 def to_wire(progress: Progress) -> pb.Progress:
     """Convert the pipeline's progress to the wire's message."""
     return coded_progress(progress.message, stage=progress.stage, fraction=progress.fraction, losses=progress.losses)
-
-
-def _published_message(asset: PublishedAsset, collection: str) -> pb.Published:
-    return pb.Published(
-        asset_key=asset.key,
-        version=asset.version,
-        state=asset.state,
-        manifest=asset.manifest,
-        collection=collection,
-    )

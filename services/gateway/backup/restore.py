@@ -312,6 +312,7 @@ def _jobs_of(entry: Entry, tenant: str) -> Iterator[Job]:
             "state": version["state"],
             "manifest": version["manifest"],
             "collection": collection,
+            "held": bool(version.get("held")),
         }
         order = Order("", entry.key, JobOptions(collection=collection))
         yield Job(

@@ -42,7 +42,12 @@ class AnchorsFound:
 
 @dataclass(frozen=True, slots=True)
 class VersionPublished:
-    """A version of the asset was published. state: preview or refined; collection: the one that lists it"""
+    """A version of the asset was published.
+
+    state       preview or refined; collection: the one that lists it
+    grade       its level, because and advice; None: nothing could tell
+    held        whether it is held back: its grade says to shoot again, so no list has it
+    """
 
     seq: int
     key: str
@@ -50,6 +55,8 @@ class VersionPublished:
     state: str
     manifest: str
     collection: str = ""
+    grade: Mapping[str, str] | None = None
+    held: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from capture2vr.sentences.sentence import Sentence, read_sentence
 WHOLE_JOB = sa.select(jobs, *[column.label(f"lease_{column.name}") for column in leases.c]).join(leases)
 """SELECT of a job joined with its lease: all columns of a Job."""
 
+_WITH_SENTENCES = ("error", "preview", "asset")
 _LEASE_FIELDS = tuple(field.name for field in fields(Lease))
 
 
@@ -30,7 +31,7 @@ def job_from_row(row: sa.Row[Any]) -> Job:
             "order": Order.of(values["order"]),
             "state": State(values["state"]),
             "warnings": tuple(_coded(each) for each in values["warnings"]),
-            "error": with_sentences(values["error"]),
+            **{member: with_sentences(values[member]) for member in _WITH_SENTENCES},
             "lease": Lease(**lease),
         }
     )
@@ -44,7 +45,7 @@ def job_values(job: Job) -> dict[str, Any]:
         "order": job.order.as_json,
         "state": job.state.value,
         "warnings": [_stored(each) for each in job.warnings],
-        "error": with_codes(job.error),
+        **{member: with_codes(getattr(job, member)) for member in _WITH_SENTENCES},
     }
 
 

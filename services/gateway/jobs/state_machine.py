@@ -156,6 +156,8 @@ def _apply_report(job: Job, report: Report, now: float, retry: Retry) -> Change:
                 "state": report.state,
                 "manifest": report.manifest,
                 "collection": report.collection,
+                "grade": report.grade and dict(report.grade),
+                "held": report.held,
             }
             if asset in (job.preview, job.asset):  # a repeated run reports what the one before it published
                 return Change(job)

@@ -21,9 +21,9 @@ def webhook_events(job: Job, events: Iterable[nouns.Event]) -> list[WebhookEvent
 def _webhook_event(job: Job, event: nouns.Event) -> WebhookEvent | None:
     name = f"{job.id} {event.seq}"
     if event.kind == "published":
-        return WebhookEvent(
-            "asset.published", name, {**event.data["asset"], "job": job.id, "label": job.order.options.names.label}
-        )
+        asset = event.data["asset"]
+        data = {**with_codes(asset), "job": job.id, "label": job.order.options.names.label}
+        return WebhookEvent("asset.held" if asset.get("held") else "asset.published", name, data)
     if event.kind == "state" and job.state in _TOLD:
         return WebhookEvent(f"job.{job.state.lower()}", name, _job_data(job))
     return None
@@ -36,6 +36,6 @@ def _job_data(job: Job) -> dict[str, Any]:
         "asset_key": job.order.asset_key,
         "capture": job.order.capture,
         "preset": job.order.options.preset,
-        "asset": job.asset or job.preview,
+        "asset": with_codes(job.asset or job.preview),
         "error": with_codes(job.error),
     }

@@ -43,12 +43,14 @@ InCollection = Annotated[
 
 class AssetSummary(BaseModel):
     """One asset in a list. `preview` is the URL of a picture, `self` the URL of the whole entry, `view` the URL of its
-    viewer page; `labels` are its tags, `collections` names the collections that list it.
+    viewer page; `labels` are its tags, `collections` names the collections that list it. `grade` is good, usable,
+    incomplete or shoot again; "" where nothing could tell.
     """
 
     key: str
     version: int
     state: str
+    grade: str
     updated: str
     label: str
     labels: list[str]
@@ -83,13 +85,16 @@ async def list_assets(
     gateway: GatewayOf,
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
     after: Annotated[str, Query(max_length=100, description="`next` of the previous page; empty: first page.")] = "",
+    held: Annotated[bool, Query(description="List instead those that are held back.")] = False,
 ) -> AssetPage:
-    """List assets, sorted by key, without removed ones."""
+    """List assets, sorted by key, without removed ones and those that are held back: their grade says to shoot again,
+    and nobody has kept them.
+    """
     if after and not valid_key(after):
         hints = ("use the `next` of the previous page",)
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
     store = store_of(request)
-    entries, damaged = await in_thread(lambda: _entries(store, after, limit))
+    entries, damaged = await in_thread(lambda: _entries(store, after, limit, held=held))
     gateway.metrics.observe_damage("entry", len(damaged))
     last = entries[-1].key if len(entries) == limit else None
     return AssetPage(assets=[_summary(request, each) for each in entries], next=last, damaged=damaged)
@@ -185,6 +190,7 @@ def _document(found: Entry, reading: Reading) -> dict[str, Any]:
     """
     document: dict[str, Any] = {
         **found.document,
+        "held": found.held,
         "effective_visibility": reading.visibility,
         "collections": list(reading.collections),
         "may_place": reading.may_place,
@@ -249,8 +255,10 @@ def _check_collection(found: Entry, collection: str) -> None:
         raise Problem(404, "ASSET_UNKNOWN", detail, hints=(say("asset_in", names=", ".join(found.collections)),))
 
 
-def _entries(store: Store, after: str, limit: int) -> tuple[list[Entry], list[str]]:
-    """Read at most `limit` entries with keys behind `after`, skipping removed assets; also the keys of damaged ones."""
+def _entries(store: Store, after: str, limit: int, *, held: bool) -> tuple[list[Entry], list[str]]:
+    """Read at most `limit` entries with keys behind `after`, skipping removed assets and those that are held back, or
+    with `held` those that are not; also the keys of damaged ones.
+    """
     found: list[Entry] = []
     damaged: list[str] = []
     while len(found) < limit and (keys := list_keys(store, after=after, limit=limit - len(found))):
@@ -263,7 +271,7 @@ def _entries(store: Store, after: str, limit: int) -> tuple[list[Entry], list[st
                 _log.warning("asset %s is not listed: %s", key, fault)
                 damaged.append(key)
                 continue
-            if not entry.removed:
+            if not entry.removed and entry.held == held:
                 found.append(entry)
         after = keys[-1]
     return found, damaged
@@ -275,6 +283,7 @@ def _summary(request: Request, found: Entry) -> AssetSummary:
         key=found.key,
         version=found.version,
         state=found.state,
+        grade=found.grade,
         updated=found.document["updated"],
         label=found.names.label or found.key,
         labels=list(found.names.labels),

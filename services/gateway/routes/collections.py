@@ -49,7 +49,7 @@ Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
 class RowView(BaseModel):
     """An asset of a collection. `bytes`: size of all files, null where it is not known. `manifest` is the URL of its
     manifest (all its data), `self` the URL of its catalogue entry, `preview` the URL of a picture or "", `view` the URL
-    of its viewer page.
+    of its viewer page. `grade` is good, usable, incomplete or shoot again; "" where nothing could tell.
     """
 
     key: str
@@ -57,6 +57,7 @@ class RowView(BaseModel):
     labels: list[str]
     version: int
     state: str
+    grade: str
     updated: datetime
     bytes: int | None
     manifest: str
@@ -235,6 +236,7 @@ def _row_view(request: Request, row: Row) -> RowView:
         labels=list(row.labels),
         version=row.version,
         state=row.state,
+        grade=row.grade,
         updated=datetime.fromtimestamp(row.updated, UTC),
         bytes=row.bytes or None,
         manifest=object_url(request, row.manifest_name),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Annotated
 
@@ -19,6 +20,7 @@ from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.webhooks.outbox import WebhookEvent
 from capture2vr.storage.catalogue.entry import Entry
+from capture2vr.storage.catalogue.next_entry import grade_in
 from capture2vr.storage.catalogue.versions import UnknownVersion, read_version, restore_version
 
 router = APIRouter(prefix="/v1", tags=["assets"])
@@ -43,8 +45,11 @@ class RestoredView(BaseModel):
     responses={200: {"content": {"application/json": {}}}, **problems(404, 422, 503)},
 )
 async def get_version(key: Key, version: Version, request: Request) -> Response:
-    """Get an asset's catalogue entry as it was with an earlier version, with the URL of every file."""
-    document = add_urls(request, (await read_asset_version(request, key, version)).document)
+    """Get an asset's catalogue entry as it was with another version, with the URL of every file. `held`: whether that
+    version was held back, because its grade says to shoot again.
+    """
+    found = await read_asset_version(request, key, version)
+    document = add_urls(request, {**found.document, "held": found.held})
     return JSONResponse(document, headers={"Cache-Control": "private, no-store"})
 
 
@@ -55,7 +60,9 @@ async def get_version(key: Key, version: Version, request: Request) -> Response:
     responses=problems(404, 422, 503),
 )
 async def restore_earlier_version(key: Key, version: Version, request: Request, gateway: GatewayOf) -> RestoredView:
-    """Publish an earlier version again as the newest one: the undo of an edit. Nothing is computed or deleted."""
+    """Publish another version as the newest one: the undo of an edit, or to keep one that was held back because its
+    grade says to shoot again. Nothing is computed or deleted.
+    """
     store, keys = store_of(request), gateway.keys
     found = await _known(key, lambda: restore_version(store, key, version, keys))
     await _tell_webhooks(request, found)
@@ -91,7 +98,8 @@ async def _known(key: str, work: Callable[[], Entry]) -> Entry:
 
 async def _tell_webhooks(request: Request, found: Entry) -> None:
     """Tell the tenant's webhooks that a version was published."""
-    newest = found.versions[-1]
+    newest, store = found.versions[-1], store_of(request)
+    grade = await in_thread(lambda: grade_in(json.loads(store.get(found.manifest))))
     data = {
         "key": found.key,
         "version": found.version,
@@ -100,6 +108,8 @@ async def _tell_webhooks(request: Request, found: Entry) -> None:
         "collection": found.collections[0],
         "job": newest["job"],
         "label": found.names.label,
+        "grade": grade,
+        "held": False,
     }
     event = WebhookEvent("asset.published", f"{found.key} {found.version}", data)
     gateway, tenant = gateway_of(request), caller_of(request).tenant

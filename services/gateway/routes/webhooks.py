@@ -31,6 +31,7 @@ EventName = Literal[
     "job.failed",
     "job.cancelled",
     "asset.published",
+    "asset.held",
     "asset.removed",
     "asset.restored",
     "asset.deleted",

@@ -25,6 +25,7 @@ EVENTS = (
     "job.failed",
     "job.cancelled",
     "asset.published",
+    "asset.held",
     "asset.removed",
     "asset.restored",
     "asset.deleted",

@@ -328,10 +328,7 @@ def _report(event: pb.Event) -> Report:
             xyz_m = tuple(round(value, 4) for value in event.anchors.xyz_m)
             return AnchorsFound(event.seq, xyz_m, tuple(event.anchors.rgb))
         case "published":
-            asset = event.published
-            return VersionPublished(
-                event.seq, asset.asset_key, asset.version, asset.state, asset.manifest, asset.collection
-            )
+            return _version_published(event.seq, event.published)
         case "failure":
             return _failed(event.seq, event.failure)
         case "finished":
@@ -339,6 +336,16 @@ def _report(event: pb.Event) -> Report:
             return RunFinished(event.seq, warnings, dict(event.finished.seconds))
         case _:  # a heartbeat, anchors that cannot be shown, or a kind of event that only newer workers send
             return RunHeartbeat(event.seq)
+
+
+def _version_published(seq: int, asset: pb.Published) -> VersionPublished:
+    said = asset.grade
+    grade = None
+    if asset.HasField("grade"):
+        grade = {"level": said.level, **read_codes(said.i18n, because=said.because, advice=said.advice)}
+    return VersionPublished(
+        seq, asset.asset_key, asset.version, asset.state, asset.manifest, asset.collection, grade, asset.held
+    )
 
 
 def _are_anchors(anchors: pb.AnchorPoints) -> bool:

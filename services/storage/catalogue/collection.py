@@ -36,7 +36,7 @@ SCHEMA = 1
 SHARD_ROWS = 1000  # rows of one shard at most: about 140 KB, which is what one update rewrites
 RETIRED_SHARDS = 32  # replaced shards that stay on the store, for clients that read an older index a moment ago
 REMOVED = "removed"
-_COLUMNS = ("key", "label", "labels", "version", "state", "updated", "manifest", "preview", "bytes")
+_COLUMNS = ("key", "label", "labels", "version", "state", "updated", "manifest", "preview", "bytes", "grade")
 _PREVIEW = "preview.png"
 
 
@@ -50,6 +50,7 @@ class Row:
     manifest  sha256 (hex) of the manifest, from which its object name follows
     preview   sha256 (hex) of preview.png, or ""
     bytes     of all files of the version; 0: not known, as in shards that were written before rows had it
+    grade     level of the version's grade; "": nothing could tell, or the shard was written before rows had it
     """
 
     key: str
@@ -61,6 +62,7 @@ class Row:
     manifest: str
     preview: str
     bytes: int = 0
+    grade: str = ""
 
     @property
     def manifest_name(self) -> str:
@@ -133,6 +135,7 @@ def row_of(entry: Entry) -> Row:
         manifest=document["manifest"]["sha256"],
         preview=preview["sha256"] if preview else "",
         bytes=sum(int(file["bytes"]) for file in document["files"]),
+        grade=entry.grade,
     )
 
 
@@ -190,7 +193,7 @@ def shard_data(rows: Sequence[Row], version: int) -> bytes:
     version  of the index that lists the shard first. It makes the bytes unique: no later index can list a retired
              shard again, so retired shards can be deleted safely.
     """
-    words = list(dict.fromkeys(word for row in rows for word in (row.state, *row.labels)))
+    words = list(dict.fromkeys(word for row in rows for word in (row.state, row.grade, *row.labels)))
     indices = {word: number for number, word in enumerate(words)}
     cells = [_cells(row, indices) for row in rows]
     return canonical_json({"schema": SCHEMA, "version": version, "columns": _COLUMNS, "words": words, "rows": cells})
@@ -248,11 +251,11 @@ def _parse_shard(collection: str, record: Mapping[str, Any]) -> Shard:
 def _cells(row: Row, indices: Mapping[str, int]) -> list[Any]:
     """Encode a row compactly, in the order of `_COLUMNS`, because a client downloads all of them.
 
-    Hashes as base64url (43 letters, not 64); states and labels, which repeat, as indices into the shard's `words`.
+    Hashes as base64url (43 letters, not 64); states, grades and labels, which repeat, as indices into `words`.
     """
     labels = [indices[label] for label in row.labels]
     facts = (row.key, row.label, labels, row.version, indices[row.state], row.updated)
-    return [*facts, _to_base64(row.manifest), _to_base64(row.preview), row.bytes]
+    return [*facts, _to_base64(row.manifest), _to_base64(row.preview), row.bytes, indices[row.grade]]
 
 
 def _parse_row(cells: Mapping[str, Any], words: Sequence[str]) -> Row:
@@ -266,6 +269,7 @@ def _parse_row(cells: Mapping[str, Any], words: Sequence[str]) -> Row:
         manifest=_from_base64(cells["manifest"]),
         preview=_from_base64(cells["preview"]),
         bytes=cells.get("bytes", 0),
+        grade=words[cells["grade"]] if "grade" in cells else "",
     )
 
 

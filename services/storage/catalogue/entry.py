@@ -65,6 +65,16 @@ class Entry:
         return bool(self.document.get("removed"))
 
     @property
+    def grade(self) -> str:
+        """Level of the current version's grade; "" where nothing could tell, as of point clouds and older entries."""
+        return str(self.document.get("grade") or "")
+
+    @property
+    def held(self) -> bool:
+        """Whether the current version is held back, so that no list has the asset; one without any other is."""
+        return any(bool(each.get("held")) for each in self.versions if each["version"] == self.version)
+
+    @property
     def visibility(self) -> Visibility | None:
         """The asset's own visibility; None: that of its collections."""
         return parse_visibility(self.document.get("visibility"))

@@ -10,14 +10,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.sentences.documents import with_codes
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, Json
 from capture2vr.storage.catalogue.carried_notes import notes_of_next_version
-from capture2vr.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
+from capture2vr.storage.catalogue.compare_and_swap import canonical_json, put_mutable, retry_on_conflict
 from capture2vr.storage.catalogue.entry import (
     DEFAULT_COLLECTION,
     Entry,
@@ -27,7 +26,8 @@ from capture2vr.storage.catalogue.entry import (
     entry_name,
     read_entry,
 )
-from capture2vr.storage.catalogue.job_versions import ends_job, existing_version, raise_fence
+from capture2vr.storage.catalogue.job_versions import existing_version, raise_fence
+from capture2vr.storage.catalogue.next_entry import HELD_LEVEL, SCHEMA, level_of, lods_of, new_record, next_document
 from capture2vr.storage.catalogue.proof import sign_proof
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.catalogue.stored_file import StoredFile, put_content
@@ -36,9 +36,6 @@ from capture2vr.storage.catalogue.update import update_collections
 from capture2vr.storage.catalogue.visibility import Visibility
 from capture2vr.storage.store import Store
 
-SCHEMA = 1
-MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "origin")
-
 
 class KeyElsewhere(Exception):  # noqa: N818 - a fault of who chose the key, not of this program
     """The key belongs to an asset of another collection, and the caller may not list it in a second one."""
@@ -46,26 +43,32 @@ class KeyElsewhere(Exception):  # noqa: N818 - a fault of who chose the key, not
 
 @dataclass(frozen=True, slots=True)
 class PublishedAsset:
-    """A published version of an asset: version counts from 1 for each key; manifest is an object name."""
+    """A published version of an asset: version counts from 1 for each key; manifest is an object name; held: whether it
+    is held back, because its grade says to shoot again.
+    """
 
     key: str
     version: int
     state: str
     manifest: str
+    held: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class PublishPolicy:
-    """How bundles are published: with which signing keys, across collections or not, and when publishing stops.
+    """How bundles are published: with which signing keys, across collections or not, whatever their grade or not, and
+    when publishing stops.
 
     keys                     sign the catalogue entry and the collection's index
     allow_other_collections  whether an asset of another collection may be listed in a second one
+    anyway                   whether what its grade says to shoot again is published like anything else
     proceed                  called before each file, and before the version is added; what it raises is passed on, and
                              then nothing but files that nobody refers to has been written
     """
 
     keys: Keys = NO_KEYS
     allow_other_collections: bool = True
+    anyway: bool = False
     proceed: Callable[[], None] = lambda: None
 
 
@@ -103,6 +106,14 @@ class _PublishRequest:
         """Whether a version of this job is there already."""
         return bool(self.job) and any(each["job"] == self.job for each in present.versions)
 
+    def holds_back(self, present: Entry | None, bundle: Bundle) -> bool:
+        """Whether a bundle is held back: its grade says to shoot again, and nobody wants it all the same.
+
+        An asset that is served although its grade says so was kept by somebody, who then edits it.
+        """
+        was_kept = present is not None and present.grade == HELD_LEVEL and not present.held
+        return level_of(bundle.manifest) == HELD_LEVEL and not self.policy.anyway and not was_kept
+
     def names_of(self, present: Entry | None, given: AssetNames, key: str) -> AssetNames:
         """Return the asset's names from this version on: those that were given, in place of those that it has.
 
@@ -134,8 +145,10 @@ def publish(
 ) -> PublishedAsset:
     """Publish a bundle under `key`, make it the current version, and list it in `collection`.
 
-    Publishing the same (job, state, last) twice adds no version and returns the first; without a job the content is
-    compared instead. A new version of a removed asset restores it.
+    One whose grade says to shoot again is held back, unless the policy publishes it anyway: it becomes a version that
+    is not listed, nor the current one where another is served, until `restore_version` keeps it. Publishing the same
+    (job, state, last) twice adds no version and returns the first; without a job the content is compared instead. A
+    new version of a removed asset restores it.
     visibility  the asset's own from this version on; None: the one it has
     Raises StaleFence where the same job has published with a higher fence, KeyElsewhere, ValueError for an invalid key
     or collection, OSError (CatalogueFault too) where the store fails; after that, publish again.
@@ -174,7 +187,7 @@ def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[StoredFile
         "schema": SCHEMA,
         "key": key,
         "state": bundle.state,
-        "lods": _lods(bundle.manifest, files),
+        "lods": lods_of(bundle.manifest, files),
         "files": [file.document() for file in files],
     }
     return put_content(store, key, "manifest.json", canonical_json(with_codes(document)))
@@ -193,13 +206,20 @@ def _add_version(
         if present and record:
             document = {**present.document, "versions": raise_fence(versions, record, request.fence)}
         else:
-            record = _new_record(versions, bundle, manifest.name, request)
-            document = _entry_document(key, bundle, files, manifest, record, versions)
+            record = new_record(
+                present,
+                bundle,
+                manifest.name,
+                job=request.job,
+                fence=request.fence,
+                held=request.holds_back(present, bundle),
+            )
+            document = next_document(present, key, bundle, files, manifest, record)
         present_collections = present.collections if present else []
         document["collections"] = list(dict.fromkeys((*present_collections, request.collection)))
         document["visibility"] = request.visibility_of(present)
         document |= request.names_of(present, AssetNames.of(bundle.manifest), key).as_json
-        if present and present.notes and record not in versions:
+        if present and present.notes and document["version"] != present.version:
             document["notes"] = notes_of_next_version(store, present, document, bundle)
         if signers := request.policy.keys.signers:
             document["proof"] = sign_proof(key, document, signers)
@@ -209,50 +229,19 @@ def _add_version(
     return retry_on_conflict(attempt)
 
 
-def _new_record(
-    versions: list[dict[str, Any]], bundle: Bundle, manifest: str, request: _PublishRequest
-) -> dict[str, Any]:
-    return {
-        "version": 1 + max((int(each["version"]) for each in versions), default=0),
-        "state": bundle.state,
-        "last": ends_job(bundle),
-        "job": request.job,
-        "fence": request.fence,
-        "manifest": manifest,
-        "created": now_iso(),
-    }
-
-
-def _entry_document(
-    key: str,
-    bundle: Bundle,
-    files: list[StoredFile],
-    manifest: StoredFile,
-    record: dict[str, Any],
-    versions: list[dict[str, Any]],
-) -> dict[str, Json]:
-    """Return the catalogue entry with `record` appended to `versions` as the current one."""
-    return {
-        "schema": SCHEMA,
-        "key": key,
-        "version": record["version"],
-        "state": bundle.state,
-        "updated": record["created"],
-        "manifest": {"name": manifest.name, "sha256": manifest.sha256, "bytes": manifest.size},
-        "lods": _lods(bundle.manifest, files),
-        "preview": next((file.document() for file in files if file.file == "preview.png"), None),
-        "files": [file.document() for file in files],
-        **{field: bundle.manifest.get(field) for field in MANIFEST_FIELDS},
-        "versions": [*versions, record],
-    }
-
-
 def _published_asset(key: str, record: Mapping[str, Json]) -> PublishedAsset:
-    return PublishedAsset(key, int(record["version"]), str(record["state"]), str(record["manifest"]))
+    return PublishedAsset(
+        key, int(record["version"]), str(record["state"]), str(record["manifest"]), bool(record.get("held"))
+    )
 
 
 def move_alias(store: Store, asset: PublishedAsset) -> None:
-    """Point the alias at this version, unless it names a newer one: a slow publisher must not undo a faster one."""
+    """Point the alias at this version, unless it names a newer one: a slow publisher must not undo a faster one.
+
+    It never names what is held back.
+    """
+    if asset.held:
+        return
     name = alias_name(asset.key)
 
     def attempt() -> None:
@@ -272,10 +261,3 @@ def _entry_or_none(store: Store, key: str) -> Entry | None:
         return read_entry(store, key)
     except FileNotFoundError:
         return None
-
-
-def _lods(manifest: Mapping[str, Json], files: list[StoredFile]) -> list[dict[str, Any]]:
-    """Return the manifest's levels of detail with each file's object name, hash and size, finest first."""
-    documents = {file.file: file.document() for file in files}
-    levels = ({**level, **documents[level["file"]]} for level in manifest.get("lods", ()))
-    return sorted(levels, key=lambda level: int(level["level"]))

@@ -29,8 +29,9 @@ _PAGE = 1000  # keys per list request, the most that S3 allows
 def update_unity_catalogues(store: Store, key: str) -> None:
     """Update the asset in the Unity catalogues of every collection that lists it.
 
-    Writes nothing where nothing has changed. Leaves out a removed asset, and (with a warning in the log) one that Unity
-    would misread. Raises FileNotFoundError where nothing was published under the key, OSError where the store fails.
+    Writes nothing where nothing has changed. Leaves out what is removed or held back, and (with a warning in the log)
+    what Unity would misread. Raises FileNotFoundError where nothing was published under the key, OSError where the
+    store fails.
     """
     for collection in read_entry(store, key).collections:
         retry_on_conflict(lambda collection=collection: _replace(store, key, collection))  # type: ignore[misc]
@@ -113,10 +114,10 @@ def _entries_of(store: Store, collection: str) -> Iterator[Entry]:
 
 def _unity_asset(found: Entry, visibility: Visibility | None) -> tuple[Asset, ...]:
     """Return the asset as the Unity catalogues of a collection of this visibility list it; () if they do not, it is
-    removed, has no LODs, or Unity would misread it.
+    removed or held back, has no LODs, or Unity would misread it.
     """
     lods = found.document["lods"]
-    if found.removed or not lods or not lists(visibility, found.visibility):
+    if found.removed or found.held or not lods or not lists(visibility, found.visibility):
         return ()
     files = tuple(LodFile(lod["level"], lod["name"], lod["sha256"], lod["bytes"]) for lod in lods)
     # A label that is another asset's address would make the whole catalogue one that Unity misreads.

@@ -43,7 +43,7 @@ _PAGE = 1000  # keys per list request, the most that S3 allows
 
 def update_collections(store: Store, key: str, keys: Keys = NO_KEYS) -> None:
     """Update the asset's row in every collection that its catalogue entry names, or take it out of those that others
-    may read and that may not list it.
+    may read and that may not list it. One that is held back is in none.
 
     Writes nothing where nothing has changed. Raises FileNotFoundError where nothing was published under the key,
     CatalogueFault for a collection that is damaged, has no valid signature, or that this process cannot sign.
@@ -246,8 +246,8 @@ def _all_rows(store: Store, collection: str, visibility: Visibility | None) -> l
 
 
 def _listed_rows(entries: Iterable[Entry], visibility: Visibility | None) -> list[Row]:
-    """Return the rows of those assets that a collection of this visibility lists."""
-    return [row_of(each) for each in entries if lists(visibility, each.visibility)]
+    """Return the rows of those assets that a collection of this visibility lists, without those that are held back."""
+    return [row_of(each) for each in entries if lists(visibility, each.visibility) and not each.held]
 
 
 def _replace_all(

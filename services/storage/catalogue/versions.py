@@ -10,8 +10,9 @@ from capture2vr.storage.bundle import Json, content_name, sha256_hex
 from capture2vr.storage.catalogue.change_entry import change_entry
 from capture2vr.storage.catalogue.entry import Entry, read_entry
 from capture2vr.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
+from capture2vr.storage.catalogue.next_entry import MANIFEST_FIELDS, level_of
 from capture2vr.storage.catalogue.proof import sign_proof
-from capture2vr.storage.catalogue.publish import MANIFEST_FIELDS, PublishedAsset, move_alias
+from capture2vr.storage.catalogue.publish import PublishedAsset, move_alias
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.store import Store
 
@@ -32,17 +33,19 @@ def read_version(store: Store, key: str, version: int) -> Entry:
 def restore_version(store: Store, key: str, version: int, keys: Keys = NO_KEYS) -> Entry:
     """Publish an earlier version's files again as the newest version, and return the new entry.
 
-    Does nothing where the newest version has the same files. A removed asset is shown again. Raises as `read_version`
-    does, CatalogueFault FILE_MISSING too; after a failure of the store, restore it again.
+    Does nothing where the current version has the same files. A removed asset is shown again, and what was held back is
+    kept. Raises as `read_version` does, CatalogueFault FILE_MISSING too; after a failure of the store, restore it
+    again.
     """
 
     def changes(present: Entry, now: str) -> dict[str, Any]:
         facts = _facts_of(store, present, version)
-        if facts["manifest"]["name"] == present.manifest and not present.removed:
+        if facts["manifest"]["name"] == present.manifest and not present.removed and not present.held:
             return {}
         _require_files(store, facts["files"])
         number = 1 + max(int(each["version"]) for each in present.versions)
         record = {**_record_of(present, version), "version": number, "created": now, "restored": version}
+        record.pop("held", None)
         facts |= {"version": number, "updated": now, "versions": [*present.versions, record], "removed": None}
         return {**facts, "proof": sign_proof(key, facts, keys.signers) if keys.signers else None}
 
@@ -79,6 +82,7 @@ def _facts_of(store: Store, present: Entry, version: int) -> dict[str, Any]:
         "lods": manifest["lods"],
         "preview": next((each for each in manifest["files"] if each["file"] == "preview.png"), None),
         "files": manifest["files"],
+        "grade": level_of(manifest),
         **{field: manifest.get(field) for field in MANIFEST_FIELDS},
     }
 

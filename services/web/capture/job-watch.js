@@ -1,23 +1,20 @@
 // Watches a job until it has ended, and shows its progress, its result, or why it failed.
 import { showJobProgress, showProgressNote, startJobProgress } from '../shared/job-progress.js';
 import { showState, showTrouble } from './page-state.js';
-import { hideAnchors, showAnchors, showResult } from './result.js';
+import { FINAL, hideAnchors, showAnchors, showResult } from './result.js';
 import { followJob, getJson, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+import { otherWarnings } from '../shared/grade.js';
 import { Problem, toProblem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
-/** @import { Job, JobState } from '../shared/types.d.ts' */
-
-/** @type {JobState[]} */
-const FINAL = ['SUCCEEDED', 'FAILED', 'CANCELLED'];
+/** @import { Job } from '../shared/types.d.ts' */
 
 const page = {
   work: element('work', HTMLElement),
   lost: element('lost', HTMLElement),
   cancel: element('cancel', HTMLButtonElement),
   coming: element('coming', HTMLElement),
-  ready: element('ready', HTMLElement),
   warnings: element('warnings', HTMLElement),
 };
 
@@ -85,8 +82,7 @@ function cancelled({ preview }) {
 /** @param {Job} job */
 function showSuccess({ asset, warnings }) {
   page.work.hidden = true;
-  page.ready.textContent = asset?.state === 'refined' ? t('It is ready, refined') : t('It is ready');
-  fillList(page.warnings, warnings);
+  fillList(page.warnings, otherWarnings(warnings, asset?.grade));
   document.body.dataset.state = 'done';
 }
 

@@ -3,15 +3,20 @@ import { durationText } from '../shared/job-progress.js';
 import { offerMorePhotos } from './continuing.js';
 import { showCut } from './other-cut.js';
 import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
-import { getJson } from '../shared/api.js';
+import { getJson, getSession, getVersion, restoreVersion } from '../shared/api.js';
+import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
 import { formatCount, formatNumber } from '../shared/format.js';
+import { gradeReason, gradeText } from '../shared/grade.js';
 import { loadSentences } from '../shared/stored-sentences.js';
 import { t } from '../shared/texts.js';
 import { PREVIEW_MODULES_MS, withTimeLimit } from '../shared/time-limits.js';
 
-/** @import { AnchorPoints, AssetEntry, Job, Manifest, PublishedVersion, QualityFigures } from '../shared/types.d.ts' */
+/** @import { AnchorPoints, AssetEntry, Job, JobState, Manifest, PublishedVersion, QualityFigures } from '../shared/types.d.ts' */
 /** @typedef {(value: number) => string} Format */
+
+/** States of a job that has ended. @type {JobState[]} */
+export const FINAL = ['SUCCEEDED', 'FAILED', 'CANCELLED'];
 
 /** @type {Format} */
 const ofSize = (share) => t('{percent} % of its size', { percent: formatNumber((100 * share).toFixed(2)) });
@@ -37,7 +42,13 @@ const page = {
   result: element('result', HTMLElement),
   pointed: element('pointed', HTMLElement),
   ready: element('ready', HTMLElement),
+  reason: element('reason-of-grade', HTMLElement),
   made: element('made', HTMLElement),
+  held: element('held', HTMLElement),
+  heldBack: element('held-back', HTMLElement),
+  keep: element('keep', HTMLButtonElement),
+  notKept: element('not-kept', HTMLElement),
+  opened: element('opened', HTMLElement),
   view: element('view', HTMLAnchorElement),
   link: element('link', HTMLElement),
   qr: element('qr', HTMLImageElement),
@@ -49,6 +60,10 @@ const page = {
   figures: element('figures', HTMLTableElement),
 };
 
+/** @type {() => void} */
+let keep = () => {};
+page.keep.addEventListener('click', () => keep());
+
 let shownVersion = 0; // of the asset in the preview
 /** @type {Promise<void>} */
 let queue = Promise.resolve(); // one version after the other, so that an older one never replaces a newer one
@@ -59,7 +74,64 @@ let queue = Promise.resolve(); // one version after the other, so that an older 
  * @param {PublishedVersion} published
  */
 export function showResult(job, published) {
-  queue = queue.then(() => showVersion(job, published)).catch(showWithoutPreview);
+  showGrade(job, published);
+  queue = queue
+    .then(() => showHeld(job, published))
+    .then(() => showVersion(job, published))
+    .catch(showWithoutPreview);
+}
+
+/**
+ * Says first how good the result is, why, and what to do; where nothing can tell, that it is ready.
+ * @param {Job} job
+ * @param {PublishedVersion} published
+ */
+function showGrade({ state: jobState }, { grade, state }) {
+  const done = state === 'refined' ? t('It is ready, refined') : t('It is ready');
+  const ready = jobState === 'SUCCEEDED' ? done : t('The preview is ready');
+  page.ready.textContent = (grade && gradeText(grade.level)) || ready;
+  page.reason.textContent = grade ? gradeReason(grade) : '';
+  page.reason.hidden = !page.reason.textContent;
+}
+
+/**
+ * Says that a version is held back, unless somebody has kept it, and offers to keep it once the job has ended.
+ * @param {Job} job
+ * @param {PublishedVersion} published
+ */
+async function showHeld({ asset_key: key, state }, { version, held }) {
+  /** @type {AssetEntry | null} */
+  const entry = held ? await getJson(`/v1/assets/${encodeURIComponent(key)}`).catch(() => null) : null;
+  const waits = entry !== null && !entry.versions?.some(({ restored }) => restored === version);
+  page.held.hidden = !waits;
+  const isElsewhere = waits && entry.version !== version; // its page shows the version that goes on being served
+  for (const part of [page.view, page.opened]) part.hidden = isElsewhere;
+  if (!waits) return;
+  const isFinal = FINAL.includes(state);
+  const session = isFinal ? await getSession().catch(() => null) : null;
+  const manages = Boolean(session?.scopes.includes('manage'));
+  page.heldBack.textContent = [
+    isElsewhere
+      ? t('It is held back: version {version} goes on being shown.', { version: entry.version })
+      : t('It is held back: no list shows it.'),
+    isFinal && !manages ? t('Somebody whose access key may manage can keep it.') : '',
+  ]
+    .filter(Boolean)
+    .join(' ');
+  page.keep.hidden = !manages;
+  keep = () => attempt(page.notKept, () => keepVersion(key, version), page.keep);
+}
+
+/**
+ * Publishes what was held back.
+ * @param {string} key
+ * @param {number} version
+ */
+async function keepVersion(key, version) {
+  await restoreVersion(key, version);
+  page.heldBack.textContent = t('It is kept: it is published now.');
+  page.keep.hidden = true;
+  for (const part of [page.view, page.opened]) part.hidden = false;
 }
 
 /**
@@ -94,6 +166,7 @@ function showStage(made) {
   page.result.hidden = false;
   page.pointed.hidden = made;
   page.ready.hidden = !made;
+  page.reason.hidden = !made || !page.reason.textContent;
   page.made.hidden = !made;
 }
 
@@ -112,7 +185,9 @@ async function showVersion(job, published) {
   // Only now: a phone that merely uploads never loads the 3D library.
   const { showPreview } = await withTimeLimit(import('./preview.js'), PREVIEW_MODULES_MS);
   /** @type {AssetEntry} */
-  const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
+  const entry = await (published.held
+    ? getVersion(key, published.version)
+    : getJson(`/v1/assets/${encodeURIComponent(key)}`));
   await showManifest(job, entry);
   await showPreview(page.preview, entry);
   page.preview.hidden = false;

@@ -132,7 +132,8 @@ function rowFrom(columns, words, cells) {
   const labels = /** @type {number[]} */ (row.labels).map((place) => String(words[place]));
   const state = /** @type {CollectionRow['state']} */ (words[Number(row.state)]);
   const [key, manifest] = [String(row.key), String(row.manifest)];
-  const facts = { version: Number(row.version), updated: Number(row.updated), bytes: Number(row.bytes ?? 0) }; // older shards have no size
+  const grade = String(words[Number(row.grade)] ?? ''); // older shards have no grade, and no size
+  const facts = { version: Number(row.version), updated: Number(row.updated), bytes: Number(row.bytes ?? 0), grade };
   return { key, label: String(row.label || key), labels, state, manifest, ...facts };
 }
 

@@ -3,6 +3,7 @@ import { loadManifest } from '../catalogue/signed-catalogue.js';
 import { loadFile } from '../catalogue/verified-cache.js';
 import { create } from '../shared/dom.js';
 import { formatBytes, stateText } from '../shared/format.js';
+import { gradeText } from '../shared/grade.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 import { ofShownTenant } from '../shared/whose.js';
@@ -54,7 +55,13 @@ export class Card {
     const link = create('a', { href: ofShownTenant(`/view/${encodeURIComponent(row.key)}`) });
     link.append(this.#picture, create('span', { className: 'name', dir: 'auto', textContent: row.label }));
     this.element.dataset.key = row.key;
-    this.element.append(link, this.#facts, ...createLabels(row, onLabel), createFoot(row, chosen, onChoose));
+    this.element.append(
+      link,
+      ...createBadge(row),
+      this.#facts,
+      ...createLabels(row, onLabel),
+      createFoot(row, chosen, onChoose),
+    );
     for (const kind of ['pointerenter', 'focusin']) this.element.addEventListener(kind, () => this.#startAnimation());
     for (const kind of ['pointerleave', 'focusout']) this.element.addEventListener(kind, () => this.#stopAnimation());
   }
@@ -122,6 +129,15 @@ export class Card {
     else this.#urls.push(url);
     return url;
   }
+}
+
+/**
+ * Creates the badge of an asset that is not whole; good and usable ones need none.
+ * @param {CollectionRow} row
+ */
+function createBadge({ grade }) {
+  if (grade !== 'incomplete' && grade !== 'shoot again') return [];
+  return [create('span', { className: 'badge', textContent: gradeText(grade) })];
 }
 
 /** @param {CollectionRow} row */

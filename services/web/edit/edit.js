@@ -11,11 +11,11 @@ import { findJob, loadVersion, notStored } from './shown-version.js';
 import { startTabs } from './tabs.js';
 import { TrueSize } from './true-size.js';
 import { Upright } from './upright.js';
-import { restoreVersion, showVersions } from './version-list.js';
+import { showVersions } from './version-list.js';
 import { Comparison } from '../graphics/compare.js';
 import { pause } from '../graphics/gpu-warmup.js';
 import { createStage, frame } from '../graphics/scene.js';
-import { getJson } from '../shared/api.js';
+import { getJson, restoreVersion } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
 import { formatRounded } from '../shared/format.js';
@@ -293,8 +293,8 @@ async function restore(version) {
 
 async function save() {
   if (!job) return;
-  await runEdited(job, recipe());
-  await open();
+  const { asset } = await runEdited(job, recipe());
+  await open(asset?.held ? asset.version : undefined); // else nobody would see what became of the edits
 }
 
 /**

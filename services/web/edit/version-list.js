@@ -1,6 +1,5 @@
 // The list of versions: edit from one, compare it with the one that is shown, restore it, download it for another program.
 import { loadDownloads } from '../catalogue/download-list.js';
-import { postJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
 import { stateText } from '../shared/format.js';
@@ -16,16 +15,6 @@ import { t } from '../shared/texts.js';
  */
 
 /** @typedef {(version: number, pressed: HTMLButtonElement) => void} VersionAction */
-
-/**
- * Publishes an earlier version again as the newest one.
- * @param {string} key
- * @param {number} version
- * @returns {Promise<{ version: number }>}
- * @throws {Problem} as `getJson`
- */
-export const restoreVersion = (key, version) =>
-  postJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}/restore`, {});
 
 /**
  * Shows the versions, the newest first.
@@ -46,7 +35,8 @@ export function showVersions(
     const { version } = record;
     if (version === shown) row.ariaCurrent = 'true';
     else row.append(button(t('Edit from it'), version, onShow), button(t('Compare'), version, onCompare));
-    if (version !== newest && manages) row.append(button(t('Restore'), version, onRestore));
+    const action = record.held ? t('Keep it anyway') : t('Restore');
+    if ((version !== newest || record.held) && manages) row.append(button(action, version, onRestore));
     row.append(createDownloads(key, version));
     return row;
   });
@@ -83,9 +73,10 @@ function createDownloads(key, version) {
  * @param {VersionRecord} record
  * @param {number} newest
  */
-function describe({ version, state, created, restored }, newest) {
+function describe({ version, state, created, restored, held }, newest) {
   const when = new Date(created).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' });
   const what = restored ? t('version {version} restored', { version: restored }) : stateText(state);
+  if (held) return t('Version {version}, held back: {what}, {when}', { version, what, when });
   return version === newest
     ? t('Version {version}, the newest: {what}, {when}', { version, what, when })
     : t('Version {version}: {what}, {when}', { version, what, when });

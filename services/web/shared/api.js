@@ -99,6 +99,16 @@ export async function cacheAnswer(url, text) {
 export const getVersion = (key, version) => getJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}`);
 
 /**
+ * Publishes a version again as the newest one.
+ * @param {string} key
+ * @param {number} version
+ * @returns {Promise<{ version: number }>}
+ * @throws {Problem} as `getJson`
+ */
+export const restoreVersion = (key, version) =>
+  postJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}/restore`, {});
+
+/**
  * POST a JSON document.
  * @template T
  * @param {string} url

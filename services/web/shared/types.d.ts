@@ -94,6 +94,16 @@ export interface VersionRecord {
   job: string;
   created: string;
   restored?: number;
+  held?: boolean;
+}
+
+export type GradeLevel = 'good' | 'usable' | 'incomplete' | 'shoot again';
+
+/** How good a version is. `because`, `advice`: '' for a good one. */
+export interface Grade {
+  level: GradeLevel;
+  because: string;
+  advice: string;
 }
 
 /** The catalogue entry of an asset: GET /v1/assets/{key}. */
@@ -387,6 +397,7 @@ export interface CollectionRow {
   updated: number;
   manifest: string;
   bytes: number;
+  grade: string;
 }
 
 // ---- jobs -----------------------------------------------------------------------------------------------------------
@@ -461,6 +472,8 @@ export interface PublishedVersion {
   key: string;
   version: number;
   state: AssetState;
+  grade?: Grade | null;
+  held?: boolean;
 }
 
 /** A job: GET /v1/jobs/{id}. */

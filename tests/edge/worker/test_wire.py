@@ -272,7 +272,7 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 NUMBERS = {
     "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill box cut "
-    "tenant token visibility capture description labels edits",
+    "tenant token visibility capture description labels edits publish_anyway",
     "AttachRequest": "job after_seq token",
     "CancelRequest": "job token",
     "Box": "left top right bottom",
@@ -281,7 +281,8 @@ NUMBERS = {
     "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",
     "Event": "job seq elapsed_s progress heartbeat published failure finished anchors",
     "Failure": "code message file hints retryable stage i18n",
-    "Published": "asset_key version state manifest collection",
+    "Published": "asset_key version state manifest collection grade held",
+    "Grade": "level because advice i18n",
     "Progress": "stage fraction losses eta_s message i18n",
 }
 

@@ -12,12 +12,14 @@ from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.arrays import Tick
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.coded_messages import coded_published
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import Report
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
-from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.visibility import parse_visibility
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
@@ -26,7 +28,8 @@ from capture2vr.storage.tenant_store import store_of_tenant
 class Making:
     """Work whose capture says how it goes: {"steps": 3, "pause_s": 0.1, "fail": "CODE", "retryable": true, "wait": 1}
 
-    Publishes a preview and a refined version behind it, really, to `store`; "fail_refining" is a code for in between.
+    Publishes a preview and a refined version behind it, really, to `store`; "fail_refining" is a code for in between,
+    "grade" the level of both.
     """
 
     def __init__(self, store: Store, *presets: str) -> None:
@@ -51,7 +54,8 @@ class Making:
         if "fail" in script:
             raise EdgeError(script["fail"], "as it was told", file="a.ply", retryable=script.get("retryable", False))
         for state in ("preview", "refined"):
-            bundle = Bundle(state=state, files={"mesh.ply": f"{request.job} {state}".encode()}, manifest={"lods": []})
+            manifest = {"lods": [], "quality": {"grade": _grade(script)}}
+            bundle = Bundle(state=state, files={"mesh.ply": f"{request.job} {state}".encode()}, manifest=manifest)
             collection = request.options.collection or DEFAULT_COLLECTION
             made = publish(
                 bundle,
@@ -61,16 +65,9 @@ class Making:
                 fence=request.fence,
                 collection=collection,
                 visibility=parse_visibility(request.options.visibility),
+                policy=PublishPolicy(anyway=request.options.publish_anyway),
             )
-            report(
-                pb.Published(
-                    asset_key=made.key,
-                    version=made.version,
-                    state=made.state,
-                    manifest=made.manifest,
-                    collection=collection,
-                )
-            )
+            report(coded_published(made, manifest, collection))
             if "fail_refining" in script:
                 raise EdgeError(script["fail_refining"], "as it was told", hints=("use a coarser preset",))
         return pb.Finished(warnings=["looks odd"], seconds={"FITTING": 0.5})
@@ -80,6 +77,11 @@ class Making:
         if "fail" in script:
             raise EdgeError(script["fail"], "as it was told", file="a.ply", hints=("hold still",))
         return pb.Inspection(kind="points", format="ply", points=script.get("points", 7), warnings=["sparse"])
+
+
+def _grade(script: Mapping[str, Any]) -> dict[str, str] | None:
+    because, advice = say("surface_is_ragged", border=30.0), say("again_matt")
+    return {"level": script["grade"], "because": because, "advice": advice} if "grade" in script else None
 
 
 class ZipMaking(Making):

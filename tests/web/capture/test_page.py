@@ -14,9 +14,13 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from capture2vr.cli.up import Stack
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data
 from tests.support.patience import PATIENCE_S
 from tests.support.screenshots import await_frames, difference, drawn, expect_picture, stage
+from tests.support.sites import Site
+from tests.support.things import GREEN, RED, box, graded
 
 pytestmark = pytest.mark.browser
 
@@ -260,3 +264,31 @@ def test_a_failure_behind_the_preview_leaves_it_on_show(page: Page, stack: Stack
     expect(trouble).to_contain_text("the preview stays published")
     expect(page.locator("#view")).to_be_visible()
     expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))
+
+
+def test_a_bad_capture_is_told_first_and_published_on_a_tap(page: Page, site: Site) -> None:
+    """A job that is done, as the gateway tells it."""
+    publish(box("A vase", GREEN), site.store, key="vase")
+    held = publish(box("A vase", RED, **graded("shoot again")), site.store, key="vase", job="job_1")
+    asset = {"version": held.version, "state": "refined", "held": True, **graded("shoot again")["quality"]}
+    warning = "Shoot it again: the surface is in shreds. Make it matt."
+    job = {"id": "job_1", "state": "SUCCEEDED", "asset_key": "vase", "label": "A vase", "preview": None, "asset": asset}
+    job |= {"warnings": [warning, "Its scale is a guess."], "capture": "cap_1", "links": {"again": "/"}}
+    page.route("**/v1/jobs/job_1", lambda route: route.fulfill(json=job))
+    page.goto(f"{site.url}/#job=job_1")
+    await_data(page, preview=str(held.version))
+    expect(page.locator("#result h2:visible")).to_have_text("Please shoot again")
+    expect(page.locator("#reason-of-grade")).to_have_text("The surface is in shreds. Make it matt.")
+    expect(page.locator("#warnings li")).to_have_text(["Its scale is a guess."])
+    expect(page.locator("#held-back")).to_have_text("It is held back: version 1 goes on being shown.")
+    expect(page.get_by_role("link", name="View")).to_be_hidden()
+    assert read_entry(site.store, "vase").version == 1
+    page.get_by_role("button", name="Keep it anyway").click()
+    expect(page.locator("#held-back")).to_have_text("It is kept: it is published now.")
+    expect(page.get_by_role("link", name="View")).to_be_visible()
+    expect(page.get_by_role("button", name="Keep it anyway")).to_be_hidden()
+    entry = read_entry(site.store, "vase")
+    assert (entry.version, entry.manifest, entry.held) == (3, held.manifest, False)
+    page.reload()
+    await_data(page, preview=str(held.version))
+    expect(page.locator("#held")).to_be_hidden()

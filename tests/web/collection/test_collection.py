@@ -22,7 +22,7 @@ from tests.support.pages import await_data, press_twice, requests_of
 from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at
 from tests.support.tenants import make_key
-from tests.support.things import BLUE, GREEN, RED, box, moving_picture, picture_of
+from tests.support.things import BLUE, GREEN, RED, box, graded, moving_picture, picture_of
 from tests.web.conftest import PHONE, GuardedSite, with_a_past, without_a_past
 
 pytestmark = pytest.mark.browser
@@ -43,9 +43,9 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     preview = {"preview.png": picture_of(GREEN, kind="PNG")}
     with site_at(folder, keys) as site:
         for key, bundle in {
-            "boot": box("Walking Boot", RED, files=turning, labels=["footwear", "Leder"]),
+            "boot": box("Walking Boot", RED, files=turning, labels=["footwear", "Leder"], **graded("usable")),
             "shoe": box("Straßenschuh", GREEN, files=preview, labels=["footwear"], state="preview"),
-            "sofa": box("Sofa", BLUE, files=thumbnail, labels=["furniture"], origin="guess"),
+            "sofa": box("Sofa", BLUE, files=thumbnail, labels=["furniture"], origin="guess", **graded("incomplete")),
             "zz": box(HOSTILE, BLUE, labels=[HOSTILE, '"><script>alert(2)</script>']),
             "bag": box("Bag", RED, labels=["footwear"]),
         }.items():
@@ -90,6 +90,8 @@ def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) ->
         f"preview, {sizes[1] / 1000:.1f} KB",
         "a guess from one photo",
     ]
+    expect(page.locator("#grid .badge")).to_have_text(["Incomplete"])
+    expect(page.locator("[data-key=sofa] .badge")).to_be_visible()
     box_of = page.locator("[data-key=zz]")
     expect(box_of.locator(".name")).to_have_text(HOSTILE)
     assert box_of.locator("script, .name img, .labels img").count() == 0

@@ -1,0 +1,17 @@
+"""An asset's grade as the first line of what a person is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+
+def grade_line(grade: Mapping[str, str]) -> str:
+    """Return an asset's grade as one line: the word, then why and what to do."""
+    why = f": {grade['because']}. {grade['advice']}" if grade["because"] else ""
+    return f"{grade['level'].capitalize()}{why}"
+
+
+def other_warnings(grade: Mapping[str, str] | None, warnings: Sequence[str]) -> list[str]:
+    """Return an asset's warnings without the one that says the grade, which stands on a line of its own."""
+    because = (grade or {}).get("because")
+    return [warning for warning in warnings if not because or because not in warning]
