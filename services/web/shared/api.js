@@ -167,7 +167,7 @@ export async function deleteAt(url) {
 /**
  * Outline the thing in a photo.
  * @param {File} photo
- * @param {number[] | null} box the rectangle that the thing lies in
+ * @param {MarkedBox | null} box the rectangle that the object lies in
  * @returns {Promise<PhotoOutline>}
  * @throws {Problem} as `getJson`
  */
