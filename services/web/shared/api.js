@@ -8,7 +8,7 @@ import { captureAddress } from './upload-form.js';
 import { hasOtherTenant, ofShownTenant, ownName, showAsVisitor } from './whose.js';
 import { CACHED_COPY_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
-/** @import { About } from './upload-form.js' */
+/** @import { About, MarkedBox } from './upload-form.js' */
 /** @import { AnchorPoints, AnchorsEvent, AssetEntry, CaptureReceipt, JobProgress, PhotoOutline, Session } from './types.d.ts' */
 
 const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
