@@ -29,6 +29,7 @@ from capture2vr.storage.catalogue.visibility import Visibility
 
 WORDS = st.text("abc é-", min_size=1, max_size=9).map(str.strip).filter(bool)
 SHARES = st.floats(0, 0.4)
+PHOTOS = st.sampled_from(["", "IMG_1.jpg"])
 RECIPE = Edits(up=(0.0, 0.0, 1.0), fill="all")
 OPTIONS = st.builds(
     JobOptions,
@@ -37,7 +38,8 @@ OPTIONS = st.builds(
     cut=st.sampled_from(["", *OPTION_TABLE["cut"].choices]),
     fill=st.sampled_from(["", *OPTION_TABLE["fill"].choices]),
     longest_m=st.none() | st.floats(LEAST_M, MOST_M),
-    box=st.none() | st.builds(lambda left, top: PhotoBox(left, top, left + 0.5, top + 0.25), SHARES, SHARES),
+    box=st.none()
+    | st.builds(lambda left, top, photo: PhotoBox(left, top, left + 0.5, top + 0.25, photo), SHARES, SHARES, PHOTOS),
     edits=st.sampled_from([NO_EDITS, RECIPE, Edits(cut="object", preset="mine", target="web"), Edits(cut="scene")]),
     names=st.builds(AssetNames, WORDS, WORDS, st.lists(WORDS, max_size=3, unique_by=str.casefold).map(tuple)),
     collection=st.sampled_from(["", "ada"]),
@@ -50,7 +52,7 @@ GIVEN: dict[str, tuple[JobOptions, str]] = {
     "cut": (JobOptions(cut="scene"), "scene"),
     "fill": (JobOptions(fill="all"), "all"),
     "longest_m": (JobOptions(longest_m=0.31), "0.31"),
-    "box": (JobOptions(box=PhotoBox(0.25, 0.125, 0.75, 1.0)), "0.25,0.125,0.75,1"),
+    "box": (JobOptions(box=PhotoBox(0.25, 0.125, 0.75, 1.0, "a.jpg")), "0.25,0.125,0.75,1,photo=a.jpg"),
     "edits": (JobOptions(edits=RECIPE), "recipe.json"),
     "label": (JobOptions(names=AssetNames("Dress")), "Dress"),
     "description": (JobOptions(names=AssetNames(description="of silk")), "of silk"),

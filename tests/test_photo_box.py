@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -41,7 +42,12 @@ def test_a_grown_rectangle_holds_the_smaller_and_stays_in_the_photo(
         ("", "not four numbers"),
         ("a,b,c,d", "not four numbers"),
         ("0.1,0.2,0.3", "3 numbers instead of four"),
-        ("0.1,0.2,0.3,0.4,0.5", "5 numbers instead of four"),
+        ("0.1,0.2,0.3,0.4,0.5", "a photo's name is a text"),
+        ("0.1,0.2,0.3,0.4,0.5,0.6", "6 numbers instead of four"),
+        ("photo=a.jpg", "not four numbers"),
+        ("0.1,0.2,0.3,photo=a.jpg", "not four numbers"),
+        ("0.1,0.2,0.3,0.4,photo=" + "a" * 201, "at most 200 characters"),
+        ("0.1,0.2,0.3,0.4,photo=a\x1b[2Jb.jpg", "no control characters"),
         ("120,80,900,700", "reaches beyond the photo"),
         ("-0.1,0.2,0.5,0.6", "reaches beyond the photo"),
         ("0.1,0.2,0.5,1.01", "reaches beyond the photo"),
@@ -56,6 +62,19 @@ def test_a_grown_rectangle_holds_the_smaller_and_stays_in_the_photo(
 def test_what_is_none_is_told_why(text: str, reason: str) -> None:
     with pytest.raises(InvalidBox, match=reason):
         PhotoBox.parse(text)
+
+
+@pytest.mark.parametrize("values", [["a", 0, 1, 1], [0, 0, 1, 1, ["a.jpg"]], [0, 0, 1, None], [[], 0, 1, 1]])
+def test_values_of_other_kinds_are_none(values: list[Any]) -> None:
+    with pytest.raises(InvalidBox, match="not four numbers"):
+        PhotoBox.of(values)
+
+
+def test_a_rectangle_may_name_its_photo_whatever_that_is_called() -> None:
+    box = PhotoBox.parse("0.125,0.25,0.5,1,photo=walk, 2/photo=3.jpg")
+    assert (box.values, box.photo) == ((0.125, 0.25, 0.5, 1.0), "walk, 2/photo=3.jpg")
+    assert PhotoBox.parse(box.text) == PhotoBox.parse(str(box)) == PhotoBox.of(box.as_json) == box
+    assert box.grown(0.1).photo == box.photo
 
 
 def test_what_is_written_can_be_read() -> None:

@@ -69,7 +69,7 @@ class Client:
         self,
         path: _Path,
         *,
-        box: Sequence[float] | None = None,
+        box: Sequence[float | str] | None = None,
         progress: Callable[[UploadProgress], None] = _ignore,
     ) -> StoredCapture:
         """Upload a capture: a file, a folder or a zip; return what the gateway has stored.
@@ -77,7 +77,7 @@ class Client:
         One of 16 MB and more goes on where it stopped after a lost connection, a restart of the gateway, or when the
         same is uploaded again.
 
-        box       left, top, right, bottom of the thing in a single photo, as shares of its width and height
+        box       left, top, right, bottom of the object in a photo, in shares of its sides, and perhaps its name
         progress  called with each UploadProgress
 
         >>> client.upload(folder / "sphere.npy", progress=lambda each: None).kind

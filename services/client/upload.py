@@ -42,7 +42,7 @@ def upload(
     A large one goes on where it stopped after a lost connection, or when the same is pushed again, also where `then`
     was refused.
 
-    box        rectangle of the thing in a single photo, with which the worker inspects it
+    box        rectangle of the object in a photo, with which the worker inspects it
     continues  id of the stored capture whose photos the new one has too; "": none
     """
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
@@ -51,7 +51,7 @@ def upload(
             archive = Path(scratch) / "capture.zip"
             pack(source, archive)
         size = archive.stat().st_size
-        params = {"box": ",".join(map(str, box.values))} if box else {}
+        params = {"box": box.text} if box else {}
         params |= {"continues": continues} if continues else {}
         if size >= _RESUMABLE_BYTES:
             told = {"filetype": "application/zip"}

@@ -24,6 +24,8 @@ from capture2vr.edge.fusion.texture_views import (
     select_texture_views,
     texture_view,
 )
+from capture2vr.edge.marking.isolate_marked import find_mark, isolate_marked, with_marked_photo
+from capture2vr.edge.marking.marked_object import Mark
 from capture2vr.edge.odometry.posed_frames import with_poses
 from capture2vr.edge.photos.depth_maps import at_texture_resolution
 from capture2vr.edge.photos.to_depth import to_depth
@@ -105,7 +107,7 @@ def prepare(
     options  of the job; here count its cut, longest_m, box and edits
     refines  whether a training may follow the preview
     """
-    require_single_photo(capture, options.box)
+    options = replace(options, box=with_marked_photo(capture, options.box))
     require_photos(capture, options.edits.lassos)
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
@@ -137,18 +139,6 @@ def _at_texture_resolution(view: TextureView) -> TextureView:
     return replace(view, load_rgb=at_texture_resolution(view.load_rgb))
 
 
-def require_single_photo(capture: Capture, box: PhotoBox | None) -> None:
-    """Raise CaptureError BOX_NOT_APPLICABLE for a rectangle with a capture that is not one photo."""
-    if box and capture.kind != "image":
-        pictures = len(capture.photos) or len(capture.frames)
-        what = say("count_pictures", count=pictures) if pictures else say("no_photo", format=capture.format)
-        raise CaptureError(
-            "BOX_NOT_APPLICABLE",
-            say("rectangle_marks_thing_in_single", what=what),
-            hints=(say("leave_rectangle_out_box_send"),),
-        )
-
-
 def _points(capture: Capture, options: JobOptions, hold_out: int | None, bar: Bar) -> Points:
     if capture.kind == "image":
         from capture2vr.edge.single_photo.to_points import to_points as guess_points  # loads torch
@@ -156,7 +146,7 @@ def _points(capture: Capture, options: JobOptions, hold_out: int | None, bar: Ba
         return guess_points(capture, box=options.box, tick=bar.tick("POINT_CLOUD"))
     cut, drawn = options.cut or "auto", options.edits.photos
     fill, tick = options.fill or "unseen", bar.tick("POINT_CLOUD")
-    return to_points(capture, cut=cut, fill=fill, hold_out=hold_out, drawn=drawn, tick=tick)
+    return to_points(capture, cut=cut, fill=fill, hold_out=hold_out, drawn=drawn, box=options.box, tick=tick)
 
 
 def to_points(
@@ -167,6 +157,7 @@ def to_points(
     fill: Fill = "none",
     hold_out: int | None = None,
     drawn: frozenset[str] = frozenset(),
+    box: PhotoBox | None = None,
     tick: Tick = no_tick,
 ) -> Points:
     """Make a clean, coloured point cloud of a capture, in its frame and units.
@@ -177,14 +168,17 @@ def to_points(
     fill     what of an object that is cut out is closed where no picture gave depth of it
     hold_out number of pictures that points and textures are not made from; None: a few of a capture that has many
     drawn    names of the pictures whose frames the points keep, for the lines that a person drew in them
+    box      rectangle around the object in a named picture; None: it is the one in the middle
 
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too few points remain, CAPTURE_NOTHING_LEFT where `cut` finds
-    no object, CAPTURE_NO_POSES where frames without poses cannot be placed, CAPTURE_BAD_POSE where poses contradict
-    their frames. `tick` may raise `Cancelled`.
+    no object, BOX_PHOTO_UNUSED where the rectangle's picture has no depth, CAPTURE_NO_POSES where frames without poses
+    cannot be placed, CAPTURE_BAD_POSE where poses contradict their frames. `tick` may raise `Cancelled`.
     """
     capture, tick = _with_poses(capture, tick)
     if capture.kind == "points":
         return _cloud_points(capture, voxel, cut, tick)
+    mark = find_mark(capture, box) if box and cut != "scene" else None
+    cut = "object" if mark else cut
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     faults = FrameFaults()  # what is compared at the end of a job must not end it
     held_out = tuple(frame for frame in held_out if faults.read_depth(frame) and faults.read_picture(frame) is not None)
@@ -196,7 +190,7 @@ def to_points(
         drawn_in=tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn),
         warnings=(*points.warnings, *faults.warnings(len(fused.frames))),
     )
-    points = _cut(points, replace(capture, frames=fused.frames), fused, cut, fill, tick)
+    points = _cut(points, replace(capture, frames=fused.frames), fused, mark or cut, fill, tick)
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))
     return points
@@ -235,30 +229,33 @@ def _share_to_cut(cut: Cut) -> float:
     return 1.0 if cut == "scene" else 0.9
 
 
-def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, fill: Fill, tick: Tick) -> Points:
+def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut | Mark, fill: Fill, tick: Tick) -> Points:
     """Keep the object's points alone, closed, with its unseen sides; all points where the capture shows a scene, and
     with a warning where no object is found.
 
-    Raises CAPTURE_NOTHING_LEFT instead where an object is asked for.
+    Raises CAPTURE_NOTHING_LEFT instead where an object is asked for, or marked.
     """
     if cut == "scene":
         return replace(points, cut=_ALL_WANTED)
     if cut == "auto" and (scene := sees_a_scene(capture.frames)):
         return replace(points, cut=CutReport("scene", scene))
+    before, aim = part_of(tick, 0, _CLOSING), sure_aim(capture.frames)
+    cameras, turntable = fused.cameras, capture.turntable
     try:
-        before = part_of(tick, 0, _CLOSING)
-        cameras, turntable = fused.cameras, capture.turntable
-        aim = sure_aim(capture.frames)
-        where = fused.aim if aim is None else aim
-        masked = any(frame.load_mask for frame in capture.frames)
-        isolated = isolate_object(points, aim=where, cameras=cameras, turntable=turntable, masked=masked, tick=before)
+        if isinstance(cut, Mark):
+            isolated = isolate_marked(points, cut, cameras=cameras, turntable=turntable, tick=before)
+        else:
+            masked = any(frame.load_mask for frame in capture.frames)
+            where = fused.aim if aim is None else aim
+            isolated = isolate_object(
+                points, aim=where, cameras=cameras, turntable=turntable, masked=masked, tick=before
+            )
     except CaptureError as error:
-        if cut == "object":
+        if cut != "auto":
             raise
         kept = CutReport("scene", say("no_thing_found_in_middle", why=error.message))
-        return replace(
-            points, cut=kept, warnings=(*points.warnings, say("surroundings_not_removed", why=error.message))
-        )
+        left = say("surroundings_not_removed", why=error.message)
+        return replace(points, cut=kept, warnings=(*points.warnings, left))
     if aim is not None and cut == "auto":
         require_aim(isolated.points.xyz, aim, cameras)
     thing = replace(isolated.points, unseen=unseen_sides(isolated.points, capture.frames))

@@ -15,9 +15,10 @@ from capture2vr.sentences.sentence import say
 BoxQuery = Annotated[
     str,
     Query(
-        max_length=200,
-        description="Rectangle around the object in a single photo: left,top,right,bottom as shares of the upright "
-        "photo's width and height; empty: what stands out, else the largest object near the middle.",
+        max_length=400,
+        description="Rectangle around the object in a photo: left,top,right,bottom as shares of the upright photo's "
+        "width and height, and of several photos behind it ,photo= and the file's name; empty: what stands out of a "
+        "single photo, else the largest object near the middle.",
         examples=["0.2,0.1,0.8,0.95"],
     ),
 ]
@@ -30,7 +31,7 @@ def parse_box(text: str) -> PhotoBox | None:
         return PhotoBox.parse(text) if text else None
 
 
-def require_box(values: Sequence[float] | None) -> None:
+def require_box(values: Sequence[float | str] | None) -> None:
     """Check the field `box` of a job request, where it is given. Raises Problem BOX_INVALID."""
     with _as_problem():
         if values is not None:

@@ -81,7 +81,7 @@ class JobRequest(BaseModel):
         str, _described("collection", "the one that the upload named, or that has the asset", max_length=200)
     ] = ""
     fill: Annotated[FillName, _described("fill")] = ""
-    box: Annotated[list[float] | None, _described("box", examples=[[0.2, 0.1, 0.8, 0.95]])] = None
+    box: Annotated[list[float | str] | None, _described("box", examples=[[0.2, 0.1, 0.8, 0.95]])] = None
     visibility: Annotated[Literal["", VisibilityName], _described("visibility")] = ""
     publish_anyway: Annotated[bool, _described("publish_anyway")] = False
     edits: Annotated[Edits, _described("edits")] = NO_EDITS
@@ -122,9 +122,10 @@ class JobAgain(BaseModel):
     def order(self, earlier: Order) -> Order:
         """Change the order of the earlier job."""
         options = earlier.options
-        if self.capture not in (None, earlier.capture):  # another frame, and no longer one photo
+        if self.capture not in (None, earlier.capture):  # another frame, and another first photo
             earlier = replace(earlier, capture=self.capture)
-            options = replace(options, box=None, edits=NO_EDITS)
+            named = options.box if options.box and options.box.photo else None
+            options = replace(options, box=named, edits=NO_EDITS)
         if self.edits is not None:
             options = replace(options, edits=self.edits).following_recipe()
         return replace(earlier, options=options.choosing(cut=options.cut if self.cut is None else self.cut))

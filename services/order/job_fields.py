@@ -21,7 +21,8 @@ class ReconstructionFields(TypedDict, total=False):
     cut        what to keep: "object", "scene", or "auto", the object if the photos were taken around one
     fill       holes of the mesh to fill: "none", "unseen", "all"; left out: "unseen" for photos, "none" for clouds
     longest_m  metres between the farthest points of the object, where it was measured
-    box        left, top, right, bottom of the thing in a single photo, as shares of its width and height
+    box        left, top, right, bottom of the object in a photo, as shares of its width and height, and behind them
+               the photo's name; without one, the first photo
     edits      recipe of what to cut away, what is up and the true size, as in a manifest (docs/edits.md)
     """
 
@@ -29,7 +30,7 @@ class ReconstructionFields(TypedDict, total=False):
     cut: CutName
     fill: FillName
     longest_m: float
-    box: Sequence[float]
+    box: Sequence[float | str]
     edits: Mapping[str, Any]
 
 
@@ -57,13 +58,13 @@ def options_of(fields: JobFields) -> JobOptions:
     """Convert keyword arguments to the options of a job. Raises BadInput for a value that does not fit."""
     box, edits = box_of(fields.get("box")), _edits_of(fields.get("edits"))
     try:
-        return JobOptions.of({**fields, "box": box and box.values, "edits": edits}).checked()
+        return JobOptions.of({**fields, "box": box and box.as_json, "edits": edits}).checked()
     except InvalidOption as error:
         raise BadInput(str(error)) from None
 
 
-def box_of(values: Sequence[float] | None) -> PhotoBox | None:
-    """Convert left, top, right, bottom; None: no rectangle. Raises BadInput."""
+def box_of(values: Sequence[float | str] | None) -> PhotoBox | None:
+    """Convert left, top, right, bottom and perhaps a photo's name; None: no rectangle. Raises BadInput."""
     try:
         return None if values is None else PhotoBox.of(values)
     except InvalidBox as error:

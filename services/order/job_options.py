@@ -38,7 +38,7 @@ class JobOptions:
     cut         what of the capture is kept; "": auto
     fill        which holes of the mesh are filled; "": "unseen" for photos and depth images, "none" for clouds
     longest_m   metres between the two points of the object that are farthest apart; None: unknown
-    box         rectangle of a single photo that the thing lies in; None: what stands out, or is near the middle
+    box         rectangle of a photo that the object lies in; None: what stands out, or is near the middle
     edits       recipe of what to cut away, what is up and the scale
     names       of the asset; without a label, its key
     collection  collection that lists the asset; "": the default of whoever runs the job
@@ -74,7 +74,7 @@ class JobOptions:
             cut=document.get("cut", ""),
             fill=document.get("fill", ""),
             longest_m=document.get("longest_m"),
-            box=PhotoBox(*map(float, box)) if box else None,
+            box=PhotoBox.unchecked(box) if box else None,
             edits=edits if isinstance(edits, Edits) else Edits.of(edits),
             names=AssetNames.of(document),
             collection=document.get("collection", ""),
@@ -93,7 +93,7 @@ class JobOptions:
             "longest_m": self.longest_m,
             "collection": self.collection,
             "fill": self.fill,
-            "box": list(self.box.values) if self.box else [],
+            "box": self.box.as_json if self.box else [],
             "description": self.names.description,
             "labels": list(self.names.labels),
             "visibility": self.visibility,

@@ -66,9 +66,10 @@ OPTION_TABLE = {
     "longest_m": OptionRow("--longest", "Metres between the farthest points of the object, if you measured it."),
     "box": OptionRow(
         "--box",
-        "Rectangle around the object in a single photo: left,top,right,bottom as shares of the upright photo's "
-        "width and height, such as 0.2,0.1,0.8,0.95.",
-        "what stands out, else the largest object near the middle",
+        "Rectangle around the object in a photo: left,top,right,bottom as shares of the upright photo's width and "
+        "height, such as 0.2,0.1,0.8,0.95. Of several photos it is drawn in the first, or in the one that is named "
+        "behind it: 0.2,0.1,0.8,0.95,photo=IMG_1.jpg.",
+        "what stands out of a single photo, else the largest object near the middle",
     ),
     "edits": OptionRow(
         "--edits",

@@ -85,16 +85,18 @@ class Header(_message.Message):
     def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ..., tenant: _Optional[str] = ..., token: _Optional[str] = ..., visibility: _Optional[str] = ..., capture: _Optional[str] = ..., description: _Optional[str] = ..., labels: _Optional[_Iterable[str]] = ..., edits: _Optional[str] = ..., publish_anyway: _Optional[bool] = ...) -> None: ...
 
 class Box(_message.Message):
-    __slots__ = ("left", "top", "right", "bottom")
+    __slots__ = ("left", "top", "right", "bottom", "photo")
     LEFT_FIELD_NUMBER: _ClassVar[int]
     TOP_FIELD_NUMBER: _ClassVar[int]
     RIGHT_FIELD_NUMBER: _ClassVar[int]
     BOTTOM_FIELD_NUMBER: _ClassVar[int]
+    PHOTO_FIELD_NUMBER: _ClassVar[int]
     left: float
     top: float
     right: float
     bottom: float
-    def __init__(self, left: _Optional[float] = ..., top: _Optional[float] = ..., right: _Optional[float] = ..., bottom: _Optional[float] = ...) -> None: ...
+    photo: str
+    def __init__(self, left: _Optional[float] = ..., top: _Optional[float] = ..., right: _Optional[float] = ..., bottom: _Optional[float] = ..., photo: _Optional[str] = ...) -> None: ...
 
 class Data(_message.Message):
     __slots__ = ("offset", "data")

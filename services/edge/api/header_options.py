@@ -49,7 +49,9 @@ def options_of(header: pb.Header) -> JobOptions:
 
 def wire_box(box: PhotoBox | None) -> pb.Box | None:
     """Convert a rectangle to the wire's message."""
-    return pb.Box(left=box.left, top=box.top, right=box.right, bottom=box.bottom) if box else None
+    return (
+        None if box is None else pb.Box(left=box.left, top=box.top, right=box.right, bottom=box.bottom, photo=box.photo)
+    )
 
 
 def box_of(header: pb.Header) -> PhotoBox | None:
@@ -57,7 +59,7 @@ def box_of(header: pb.Header) -> PhotoBox | None:
     if not header.HasField("box"):
         return None
     try:
-        return PhotoBox.of((header.box.left, header.box.top, header.box.right, header.box.bottom))
+        return PhotoBox.of((header.box.left, header.box.top, header.box.right, header.box.bottom, header.box.photo))
     except InvalidBox as error:
         raise InvalidOption("BOX_INVALID", f"{error}; {HOW}") from None
 

@@ -109,7 +109,7 @@ def with_masks(photos: Sequence[Photo], tick: Tick) -> tuple[tuple[Photo, ...], 
 def _mask_or_error(photo: Photo) -> Bools | CaptureError | None:
     """Return the mask of a photo, None for a photo without one, or why its mask cannot be used."""
     try:
-        alpha = mask_or_alpha(photo)
+        alpha = _mask_or_alpha(photo)
         if alpha is None or (photo.load_mask is None and alpha.min() >= OPAQUE):
             return None
         return _checked_mask(photo, (alpha >= OPAQUE).astype(np.uint8))
@@ -117,7 +117,7 @@ def _mask_or_error(photo: Photo) -> Bools | CaptureError | None:
         return error
 
 
-def mask_or_alpha(photo: Photo) -> Bytes | None:
+def _mask_or_alpha(photo: Photo) -> Bytes | None:
     """Return a photo's mask, 0 and 255, or else its alpha channel; None without either. Raises IMAGE_UNREADABLE."""
     if photo.load_mask is not None:
         return photo.load_mask().astype(np.uint8) * np.uint8(255)

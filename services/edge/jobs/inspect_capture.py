@@ -12,7 +12,6 @@ import os
 import signal
 import socket
 import time
-from dataclasses import astuple
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,8 @@ from typing import Any
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.arrays import Tick, no_tick
 from capture2vr.edge.capture.nouns import Capture
-from capture2vr.edge.capture_to_points import require_single_photo
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.marking.isolate_marked import with_marked_photo
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.single_photo.cutout import cut_out
 from capture2vr.order.photo_box import PhotoBox
@@ -59,7 +58,7 @@ class Inspector:
         Raises CAPTURE_TOO_LARGE where reading it costs more than the limits, CAPTURE_UNREADABLE where the reader
         crashes. Faults of the capture are in the answer, as its `failure`.
         """
-        order = {"archive": str(archive.resolve()), "scratch": str(scratch.resolve()), "box": box and astuple(box)}
+        order = {"archive": str(archive.resolve()), "scratch": str(scratch.resolve()), "box": box and box.as_json}
         said = _talk(self._server.fork(), order, tick)
         if "failed" in said:
             raise RuntimeError(f"an inspection failed: {said['failed']}")
@@ -130,7 +129,7 @@ def inspect(folder: Path, box: PhotoBox | None) -> pb.Inspection:
     Raises EdgeError when the capture cannot be used.
     """
     capture = read_capture(folder)
-    require_single_photo(capture, box)
+    with_marked_photo(capture, box)
     cut = cut_out(capture.photos[0], box) if capture.kind == "image" else None
     warnings = (*capture.warnings, *(cut.warnings if cut else ()))
     return pb.Inspection(

@@ -25,7 +25,7 @@ _LEAST_SECONDS, _SECONDS_PER_GB = 20, 100
 def work(order: dict[str, Any], _: Send) -> None:
     """Inspect an archive within limits that follow from its unpacked size, and write the answer to the scratch folder.
 
-    order  archive and scratch: paths; box: left, top, right and bottom of the thing in a single photo, or nothing
+    order  archive and scratch: paths; box: of the object in a photo, as in JSON, or nothing
     """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     box = PhotoBox.of(order["box"]) if order["box"] else None

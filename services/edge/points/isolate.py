@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from capture2vr.edge.arrays import Bools, Floats, Tick, no_tick, pick
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.errors import CaptureError
-from capture2vr.edge.points.clusters import cluster_near, touching_distance
+from capture2vr.edge.points.clusters import LEAST_POINTS, cluster_near, touching_distance
 from capture2vr.edge.points.ground import Ground
 from capture2vr.edge.points.nouns import CutReport, Points
 from capture2vr.edge.points.plane import Plane, largest_plane
@@ -44,10 +46,11 @@ _BEND_SLABS = 2.0
 _FLAT_SLABS = 3.0
 """An object lower than this many slabs is flat: 4 cm on a table that a phone measured with 3 mm of noise."""
 _MIN_SHARE = 0.015
-_MIN_POINTS = 100
-"""An object has at least this many points, and this share of all."""
+"""Least share of all points that the object in the middle has."""
 _SAMPLED = 100_000
 """Points kept of what a cut was made from: a picture of 360 pixels shows no more."""
+Choose = Callable[[Bools, Floats | None], Bools]
+"""Chooses the object's points among candidates, masks (N,) of the points; and by the heights (N,) over level ground."""
 _ASK = say("if_belongs_to_thing_reconstruct")
 
 
@@ -62,10 +65,14 @@ class _Cut:
 
 @dataclass(frozen=True, slots=True)
 class IsolatedObject:
-    """An object's points, and the plane that it stood on, in their frame; None where none was found."""
+    """An object's points, and the plane that it stood on, in their frame; None where none was found.
+
+    kept  mask (N,) of all points that these are among
+    """
 
     points: Points
     support: Plane | None
+    kept: Bools
 
 
 def isolate_object(
@@ -75,17 +82,19 @@ def isolate_object(
     cameras: Floats | None = None,
     turntable: bool = False,
     masked: bool = False,
+    choose: Choose | None = None,
     tick: Tick = no_tick,
 ) -> IsolatedObject:
     """Keep the object in the middle: remove one supporting plane, and all clusters that do not touch the chosen one.
 
     aim (3,): the point that the cameras looked at, capture frame; None: the middle of the points. cameras (M,3)
     positions. turntable: the points have only the object and perhaps the plate that turns with it, wider than it.
-    masked: masks that came with the photos have left out what is around the object.
+    masked: masks that came with the photos have left out what is around the object. choose: takes the place of the
+    choice of the cluster in the middle.
     Up becomes the normal of that plane, if it is nearly level and nothing surer contradicts it. For a flat object
     that lies on the plane, the plane stays, with a warning.
 
-    Raises CaptureError: CAPTURE_NOTHING_LEFT without a cluster of at least `_MIN_POINTS` points.
+    Raises CaptureError: CAPTURE_NOTHING_LEFT without a cluster of at least `LEAST_POINTS` points.
     """
     origin = np.median(points.xyz, axis=0)
     xyz = points.xyz - origin
@@ -97,18 +106,20 @@ def isolate_object(
         near = _near_mask(xyz, middle, eyes)
         plane = _supporting_plane(xyz[near], points.up, eyes)
     tick(0.93)
-    cut = _cut_off(plane, points.up, xyz, near, middle, silent=turntable or masked)
+    least = LEAST_POINTS if choose else max(LEAST_POINTS, _MIN_SHARE * len(xyz))
+    chosen = choose or partial(cluster_near, xyz, middle=middle)
+    cut = _cut_off(plane, points.up, xyz, near, chosen, least, silent=turntable or masked)
     tick(1.0)
-    if cut.thing.sum() < _MIN_POINTS:
+    if cut.thing.sum() < LEAST_POINTS:
         raise CaptureError(
             "CAPTURE_NOTHING_LEFT",
-            say("no_connected_part_points", count=len(xyz), least=_MIN_POINTS),
+            say("no_connected_part_points", count=len(xyz), least=LEAST_POINTS),
             hints=(say("reconstruct_without_isolating_thing"), say("keep_thing_in_middle_picture")),
         )
     up, up_source = points.up, points.up_source
     if plane is not None and up is not None:
         up, up_source = level_with(plane.normal, up, up_source)
-    doubt, share = _doubt(xyz, cut, near)
+    doubt, share = ("", 0.0) if choose else _doubt(xyz, cut, near)  # what a person chose leaves none
     asked = in_row(" ", (doubt, _ASK)) if doubt else ""
     thing = replace(
         points.subset(cut.thing),
@@ -118,21 +129,21 @@ def isolate_object(
         cut=CutReport("object", say("cut_out_surroundings"), doubt, round(share, 3)),
         uncut=_sample(points),
     )
-    return IsolatedObject(thing, None if cut.plane is None else cut.plane.moved(origin))
+    return IsolatedObject(thing, None if cut.plane is None else cut.plane.moved(origin), cut.thing)
 
 
 def _cut_off(
-    plane: Plane | None, up: Floats | None, xyz: Floats, near: Bools, middle: Floats | None, *, silent: bool
+    plane: Plane | None, up: Floats | None, xyz: Floats, near: Bools, choose: Choose, least: float, *, silent: bool
 ) -> _Cut:
     """Cut the object off its plane; of one that is too flat for that, the plane stays. silent: none is expected."""
     if plane is None:
-        return _Cut(cluster_near(xyz, near, middle), None, "" if silent else say("no_table_floor_found_below"))
+        return _Cut(choose(near, None), None, "" if silent else say("no_table_floor_found_below"))
     half = _half_slab(plane)
     height = Ground.about(plane, xyz[near], half, _BEND_SLABS * half).height(xyz)
     level = up is not None and float(plane.normal @ up) > np.cos(np.radians(_UPRIGHT_DEG))
-    thing = cluster_near(xyz, near & (height > half), middle, height if level else None)
-    if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
-        return _Cut(cluster_near(xyz, near, middle), None, say("thing_too_flat_to_separate"))
+    thing = choose(near & (height > half), height if level else None)
+    if _is_flat(xyz[thing], plane) or thing.sum() < least:
+        return _Cut(choose(near, None), None, say("thing_too_flat_to_separate"))
     return _Cut(thing, plane)
 
 
@@ -154,7 +165,7 @@ def _near_mask(xyz: Floats, middle: Floats | None, cameras: Floats | None) -> Bo
         return np.ones(len(xyz), bool)
     reach = np.median(np.linalg.norm(cameras - middle, axis=1))
     near = np.asarray(np.linalg.norm(xyz - middle, axis=1) <= reach)
-    return near if near.sum() >= _MIN_POINTS else np.ones(len(xyz), bool)
+    return near if near.sum() >= LEAST_POINTS else np.ones(len(xyz), bool)
 
 
 def _supporting_plane(xyz: Floats, up: Floats | None, cameras: Floats | None) -> Plane | None:
@@ -186,7 +197,7 @@ def _outermost_plane(xyz: Floats, reach: float, cameras: Floats | None, up: Floa
         if base := _as_base(plane, xyz, cameras, large=large):
             return base
         left = left[np.abs(plane.height(left)) > _half_slab(plane)]
-        if len(left) < _MIN_POINTS:
+        if len(left) < LEAST_POINTS:
             break
     return None
 

@@ -1,8 +1,8 @@
 """Leave out what a person drew a line around in a photo: points that the photo shows there, and its colours there.
 
 Symbols: a place's share (x, y) is its position in the upright photo, from (0, 0) to (1, 1), with the lens's distortion;
-z is its depth. A photo shows a place where z ≤ (1 + `_TOLERANCE`) · r, r being the farthest surface that the photo's
-depth image has within a pixel of it, or, where that has none, that the points have.
+z is its depth. A photo shows a place where z ≤ r, r being just behind the farthest surface that the photo's depth image
+has within a pixel of it, or, where that has none, that the points have (`shown_depth`).
 """
 
 from __future__ import annotations
@@ -13,22 +13,17 @@ from functools import partial
 
 import numpy as np
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.arrays import Bools, Bytes, Floats
 from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, ShownPicture
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.points.frame_faults import FrameFaults
 from capture2vr.edge.points.nouns import TextureView
+from capture2vr.edge.points.shown_depth import pixels_of, shown_depth
 from capture2vr.order.photo_lasso import PhotoLasso
 from capture2vr.sentences.sentence import say
 
-_TOLERANCE = 0.03
-"""Relative depth behind the surface that a photo shows up to which a point is still that surface: fused depth errs by
-1 %, and a sheet shall go with both its sides. At arm's length 2 cm."""
-_CELL_PX = 4
-"""Side, in pixels of the depth image, of the cells in which points hide each other: fused points are 2 pixels apart."""
 _NEAR = 1e-3
 """Depth, of the deepest in the image, of what hides everything where a person drew: nothing that is kept is so near."""
-_AROUND = np.ones((3, 3), np.uint8)  # a pixel, or a cell, and those beside it: a surface may be seen at a slant
 _NAMED = 5  # photos that a sentence names
 _STAYS, _GOES_IF_SEEN, _GOES = 0, 1, 2
 
@@ -86,7 +81,7 @@ class DrawnView:
         if not len(index):  # the photo shows nothing of them
             return out
         verdict = left_out(self.shown.to_upright(at[index]), self.lassos)
-        seen = z[index] <= self.reach[_pixels(at[index], self.reach.shape)]
+        seen = z[index] <= self.reach[pixels_of(at[index], self.reach.shape)]
         out[index] = (verdict == _GOES) | ((verdict == _GOES_IF_SEEN) & seen)
         return out
 
@@ -149,33 +144,16 @@ def _lines_in(frame: Frame, lassos: Sequence[PhotoLasso]) -> tuple[PhotoLasso, .
 
 
 def _drawn_view(frame: Frame, lassos: tuple[PhotoLasso, ...], xyz: Floats) -> DrawnView:
-    import cv2
-
     assert frame.shown is not None
     assert frame.camera_to_world is not None
     read = FrameFaults().read_depth(frame)
     depth, camera = (read[0], read[2]) if read else (np.zeros((1, 1), np.float32), frame.intrinsics)
     to_camera = np.linalg.inv(np.asarray(frame.camera_to_world, np.float64))
     shape = depth.shape if depth.size > 1 else (camera.height, camera.width)
-    depth = np.broadcast_to(depth, shape)
-    surface = cv2.dilate(np.ascontiguousarray(depth, np.float32), _AROUND)
-    reach = np.where(surface > 0, surface, _reach_of_points(camera, to_camera, xyz, shape))
-    return DrawnView(camera, to_camera, (1 + _TOLERANCE) * reach, frame.shown, lassos)
-
-
-def _reach_of_points(camera: Intrinsics, to_camera: Floats, xyz: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return for each pixel (H,W) the farthest, within a cell, of the depths of the cells' nearest points (a z-buffer);
-    infinite beside cells without points."""
-    import cv2
-
     at, z = _project(camera, to_camera, xyz)
     within = (z > 0) & (at >= 0).all(axis=1) & (at < 1).all(axis=1)
-    cells = tuple(-(-side // _CELL_PX) for side in shape)
-    nearest = np.full(cells, np.inf, np.float32)
-    row, column = (each // _CELL_PX for each in _pixels(at[within], shape))
-    np.minimum.at(nearest, (row, column), z[within].astype(np.float32))
-    farthest: Floats = np.asarray(cv2.dilate(nearest, _AROUND))
-    return farthest.repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)[: shape[0], : shape[1]]
+    reach = shown_depth(np.broadcast_to(depth, shape), at[within], z[within])
+    return DrawnView(camera, to_camera, reach, frame.shown, lassos)
 
 
 def _project(camera: Intrinsics, to_camera: Floats, xyz: Floats) -> tuple[Floats, Floats]:
@@ -184,12 +162,6 @@ def _project(camera: Intrinsics, to_camera: Floats, xyz: Floats) -> tuple[Floats
     over: Floats = 1 / np.where(z > 0, z, 1)
     column, row = camera.fx * x * over + camera.cx, camera.fy * y * over + camera.cy
     return np.stack([(column + 0.5) / camera.width, (row + 0.5) / camera.height], axis=1), z
-
-
-def _pixels(at: Floats, shape: tuple[int, ...]) -> tuple[Ints, Ints]:
-    """Return the rows and columns of positions (N,2) in an image (H,W)."""
-    column, row = np.clip((at * shape[1::-1]).astype(np.int64), 0, np.array(shape[1::-1]) - 1).T
-    return row, column
 
 
 def _covered_depth(load: Callable[[], Floats], shown: ShownPicture, lassos: tuple[PhotoLasso, ...]) -> Floats:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats
-from capture2vr.edge.capture.masks import OPAQUE, mask_or_alpha
+from capture2vr.edge.arrays import Bools, Bytes, Floats, no_tick
+from capture2vr.edge.capture.masks import OPAQUE, with_masks
 from capture2vr.edge.capture.nouns import Photo
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.single_photo.boxed import segment_in_box
@@ -71,15 +71,21 @@ class CutOut:
 
 
 def cut_out(photo: Photo, box: PhotoBox | None = None) -> CutOut:
-    """Segment the thing in a photo: by its mask or alpha channel, if that hides anything, else by colour.
+    """Segment the thing in a photo: by its mask or alpha channel, if that hides anything, else by colour. A mask that
+    is broken or of another shape is not used, with a warning.
 
     box  the rectangle that the thing lies in, where a person has drawn one
 
     Raises CaptureError CAPTURE_NO_OBJECT where there is no thing, or what there is is cut off on every side.
     """
-    alpha = mask_or_alpha(photo)
-    if alpha is not None and 0 < (alpha >= OPAQUE).mean() < 1:
-        return _cut_by_alpha(photo, alpha, box)
+    (photo,), warnings = with_masks([photo], no_tick)
+    tells = photo.mask is not None and not photo.mask.all()
+    cut = _cut_by_mask(photo, box) if tells else _cut_by_colour(photo, box)
+    return replace(cut, warnings=(*warnings, *cut.warnings))
+
+
+def _cut_by_colour(photo: Photo, box: PhotoBox | None) -> CutOut:
+    """Cut out what is in the rectangle; without one, what stands out, or is proposed. Raises CAPTURE_NO_OBJECT."""
     if box is None or box.width * box.height > _ALL:
         area = box or WHOLE
         return _cut_whole(_load_area(photo, area), area, photo.name)
@@ -123,11 +129,13 @@ def _cut_whole(rgb: Bytes, area: PhotoBox, name: str) -> CutOut:
     return replace(proposed, warnings=(warning,))
 
 
-def _cut_by_alpha(photo: Photo, alpha: Bytes, box: PhotoBox | None) -> CutOut:
+def _cut_by_mask(photo: Photo, box: PhotoBox | None) -> CutOut:
+    """Cut out what the photo's mask shows in the rectangle. Raises CAPTURE_NO_OBJECT where that is nothing."""
+    assert photo.mask is not None
     stored = photo.load(LONGEST)
     height, width = stored.shape[:2]
-    small = np.asarray(cv2.resize(alpha, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    mask = rotate_clockwise(small, photo.turns) >= OPAQUE
+    small = cv2.resize(255 * photo.mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
+    mask = rotate_clockwise(np.asarray(small, np.uint8), photo.turns) >= OPAQUE
     if box:
         rows, columns = _pixels(box, WHOLE, mask.shape)
         chosen = np.zeros_like(mask)

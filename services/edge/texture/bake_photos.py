@@ -28,7 +28,7 @@ from capture2vr.edge.srgb import to_linear
 from capture2vr.edge.texture.bake import positions_and_normals, random_places
 from capture2vr.edge.texture.match_exposures import match_exposures
 from capture2vr.edge.texture.nearest_colour import ColouredPoints
-from capture2vr.edge.texture.photo_visibility import PhotoVisibility, pixel_width, usual_distance
+from capture2vr.edge.texture.photo_visibility import PhotoVisibility, depth_of_object, pixel_width, usual_distance
 from capture2vr.edge.texture.refine_poses import LONGEST_PX, SeenPlaces, refine_poses
 
 _POWER = 12  # p: of views 10° apart the second best counts 0.8, the third 0.4, the fourth 0.2
@@ -86,7 +86,7 @@ class PhotoProjection:
         self, mesh: Mesh, pictures: Sequence[PosedPicture], points: ColouredPoints, tick: Tick = no_tick
     ) -> None:
         self._pictures = pictures
-        self._depths = [picture.depth() for picture in pictures]
+        self._depths = [depth_of_object(picture) for picture in pictures]
         places, normals = positions_and_normals(mesh, *random_places(mesh, _PROBES))
         self._visibility = PhotoVisibility(mesh, usual_distance(places, pictures, self._depths))
         known = points.light_at(places)

@@ -16,11 +16,13 @@ from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import LIFT, RaycastingScene
-from capture2vr.edge.render.sample_image import pixels_at
+from capture2vr.edge.render.sample_image import pixels_at, resize_mask
+from capture2vr.edge.render.silhouette import beyond
 
 _LEAST_COSINE = 0.2  # 78°: beyond, a pixel covers five times its width
 _RIM = 0.06  # of the photo's sides: towards the edge, places within this rim count less and less
 _AGREES, _CONTRADICTS = 0.02, 0.05  # of the depth: how far a place may be from the depth image's surface
+_BEFORE_ALL = 1e-3  # of the depth: nearer than anything that is shown
 _CONFIRMS = 0.004  # of the depth: a place as near to the depth image's surface needs no ray; nothing hides it
 _NEAREST = 1.5  # nearer than the usual distance over this, q grows no more: one close-up must not replace all others
 
@@ -90,6 +92,21 @@ class PhotoVisibility:
         lift = LIFT * self._scene.longest
         start = places + lift * facing
         return self._scene.blocked(start, eye - start, 1.0)
+
+
+def depth_of_object(picture: PosedPicture) -> Floats:
+    """Return a photo's depth image (H,W), with something just before the lens where its mask shows no object: there it
+    gives no colours."""
+    import cv2
+
+    depth = picture.depth()
+    if picture.load_mask is None:
+        return depth
+    beside = beyond(picture.load_mask())
+    height, width = max(depth.shape, beside.shape)
+    depth = np.asarray(cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST), np.float32)
+    near = _BEFORE_ALL * float(depth.max(initial=0.0)) or _BEFORE_ALL
+    return np.where(resize_mask(beside, (width, height)), np.float32(near), depth)
 
 
 def usual_distance(places: Floats, pictures: Sequence[PosedPicture], depths: Sequence[Floats]) -> float:

@@ -60,7 +60,7 @@ class Work(Protocol):
     def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
         """Read the capture without reconstructing it. Raises EdgeError when it cannot be used.
 
-        box   rectangle of a single photo that the thing lies in; None: it is looked for
+        box   rectangle of a photo that the object lies in; None: it is looked for
         tick  called often; raises Cancelled, which is passed on, when nobody waits for the answer any more
         """
         ...

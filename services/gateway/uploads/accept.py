@@ -107,7 +107,7 @@ class Uploads:
         request     whose client waits for the receipt: when it leaves, the work ends
         store       of the caller's tenant
         capture     the new capture's id
-        box         rectangle around the thing in a single photo, for its inspection
+        box         rectangle around the object in a photo, for its inspection
         check_size  raises Problem for a capture of so many bytes; called before anything is read, and when it is packed
         continues   id of the stored capture whose photos the new one has too; "": none
         """

@@ -154,7 +154,7 @@ class WorkerPool:
     async def inspect(self, archive: Path, box: PhotoBox | None = None) -> Inspection | None:
         """Have a worker inspect a packed capture; None when no worker can do so now.
 
-        box  rectangle around the thing in a single photo
+        box  rectangle around the object in a photo
         """
         usable = [status for status in await self.poll() if status.is_compatible]
         for status in sorted(usable, key=lambda status: (status.draining, -status.free_slots)):

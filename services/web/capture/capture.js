@@ -122,7 +122,7 @@ function knownReceipt() {
 }
 
 /** What the upload says of its capture. */
-const about = () => ({ box: chosenBox(), continues: continuedJob()?.capture ?? '' });
+const about = () => ({ box: chosenBox(chosenFiles()), continues: continuedJob()?.capture ?? '' });
 
 /**
  * The job to start: of a new thing, or again with more photos.
@@ -169,7 +169,7 @@ function jobRequest(name) {
     cut: /** @type {Cut} */ (page.cut.value),
     longest_m: centimetres > 0 ? centimetres / 100 : null,
     fill: page.fill.value,
-    box: chosenBox(),
+    box: chosenBox(chosenFiles()),
     visibility: /** @type {Visibility | ''} */ (page.visibility.value),
   };
 }

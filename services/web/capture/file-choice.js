@@ -4,7 +4,8 @@ import { guide, isPhoto, setHeading } from './guidance.js';
 import { beginAnother, forgetPhoto, goOnWith, keepPhoto } from './keeping.js';
 import { showKept } from './kept-list.js';
 import { startLiveCamera } from './live-camera.js';
-import { showSinglePhoto } from './photo-box.js';
+import { showPhotos } from './photo-box.js';
+import { FEWEST } from './photo-set.js';
 import { keyFrom } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { formatNumber } from '../shared/format.js';
@@ -136,12 +137,18 @@ function showFiles() {
     ? `${count}, ${formatNumber((bytes / 1e6).toFixed(1))} MB`
     : t('Nothing chosen yet.');
   page.list.hidden = guide(files, { isMore, onRemove: removeFiles });
-  showSinglePhoto(files.length === 1 && isPhoto(files[0]) && !isMore ? files[0] : null);
+  showPhotos(isMore ? [] : photosToMark());
   const names = files.slice(0, LISTED).map((file) => file.webkitRelativePath || file.name);
   if (files.length > LISTED) names.push(t('… and {count} more', { count: files.length - LISTED }));
   fillList(page.list, names);
   if (!page.name.value && files.length && !taken.has(files[0])) page.name.value = nameFrom(files[0]);
   showKey();
+}
+
+/** The photos of which one can get a rectangle: the only file, or as many as can be reconstructed together. */
+function photosToMark() {
+  const photos = files.filter(isPhoto);
+  return files.length === 1 || photos.length >= FEWEST ? photos : [];
 }
 
 /** @param {File[]} unwanted */

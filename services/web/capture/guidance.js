@@ -69,6 +69,9 @@ export function guide(chosen, about) {
   return true;
 }
 
+/** The address of a photo's small picture; '' until it is measured. @param {File} file */
+export const thumbnailOf = (file) => photos.get(file)?.thumbnailUrl ?? '';
+
 /**
  * Says why a new photo would do harm beside those that are chosen; '' where it would not, or where this browser cannot decode it.
  * @param {File} file
@@ -220,7 +223,7 @@ function drawFaults(faults) {
  */
 function createFaultItem(file, sentence) {
   const item = create('li');
-  const picture = create('img', { src: photos.get(file)?.thumbnailUrl ?? '', alt: '', width: 64, height: 64 });
+  const picture = create('img', { src: thumbnailOf(file), alt: '', width: 64, height: 64 });
   const text = create('p');
   text.append(create('strong', { textContent: file.name }), ` ${sentence}`);
   const button = create('button', {

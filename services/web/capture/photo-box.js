@@ -1,8 +1,13 @@
-// One photo: shows which part of it would be reconstructed, and lets the person draw a rectangle around another.
+// The rectangle around the object. Of one photo, shows which part of it would be reconstructed; of several, lets the person
+// choose one to draw in.
 import { outlinePhoto } from '../shared/api.js';
-import { element } from '../shared/dom.js';
+import { thumbnailOf } from './guidance.js';
+import { create, element } from '../shared/dom.js';
 import { isConnectionProblem, sentences } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
+import { storedName } from '../shared/upload-form.js';
+
+/** @import { MarkedBox } from '../shared/upload-form.js' */
 
 /** @typedef {[left: number, top: number, right: number, bottom: number]} PhotoBox shares of the upright photo's sides */
 /** @typedef {{ x: number, y: number }} Place in the photo, as shares of its sides */
@@ -24,6 +29,8 @@ const ARROWS = {
 };
 
 const page = {
+  mark: element('mark', HTMLDetailsElement),
+  marks: element('mark-photos', HTMLUListElement),
   section: element('which', HTMLElement),
   photo: element('which-photo', HTMLImageElement),
   drawing: element('which-drawing', SVGSVGElement),
@@ -34,22 +41,65 @@ const page = {
   clear: element('which-clear', HTMLButtonElement),
 };
 
+/** @type {File[]} */
+let several = []; // of which one can be chosen; [] for a single one
 /** @type {File | null} */
-let file = null;
+let file = null; // that is shown
 /** @type {PhotoBox | null} */
 let box = null;
 /** @type {Place | null} */
 let start = null; // where the finger went down
 let lastRequest = 0; // answers to earlier ones are out of date
 
-/** The rectangle that was drawn in the one photo, or null. */
-export const chosenBox = () => (file ? box : null);
+/**
+ * The rectangle that was drawn, and of several photos the name that the server gives the one that it is drawn in.
+ * @param {File[]} files that are sent
+ * @returns {MarkedBox | null}
+ */
+export function chosenBox(files) {
+  if (!file || !box) return null;
+  return several.length ? [...box, storedName(file, files)] : box;
+}
 
 /**
- * Shows a photo and the outline of the thing in it. Hides all of it without a photo, or where the browser cannot show it.
+ * Shows a single photo and the outline of the object in it; several ones to choose from.
+ * @param {File[]} photos
+ */
+export function showPhotos(photos) {
+  const before = several;
+  several = photos.length > 1 ? photos : [];
+  page.mark.hidden = !several.length;
+  listPhotos();
+  if (file && before.length && several.includes(file)) return; // the rectangle stays
+  showPhoto(photos.length === 1 ? photos[0] : null);
+}
+
+/** Lists several photos, where the person wants to see them: each shows itself when it is pressed. */
+function listPhotos() {
+  if (!page.mark.open) return;
+  const items = several.map((photo) => {
+    const button = create('button', {
+      type: 'button',
+      ariaLabel: t('Mark the object in {name}', { name: photo.name }),
+    });
+    button.ariaPressed = String(photo === file);
+    button.append(create('img', { src: thumbnailOf(photo), alt: photo.name }));
+    button.addEventListener('click', () => {
+      showPhoto(photo);
+      for (const each of page.marks.querySelectorAll('button')) each.ariaPressed = String(each === button);
+    });
+    const item = create('li');
+    item.append(button);
+    return item;
+  });
+  page.marks.replaceChildren(...items);
+}
+
+/**
+ * Shows a photo, to draw in it. Hides all of it without a photo, or where the browser cannot show it.
  * @param {File | null} photo
  */
-export function showSinglePhoto(photo) {
+function showPhoto(photo) {
   if (photo === file) return;
   lastRequest += 1;
   URL.revokeObjectURL(page.photo.src);
@@ -64,12 +114,19 @@ export function showSinglePhoto(photo) {
   page.photo.src = URL.createObjectURL(photo);
 }
 
-/** Asks the server for the outline of the thing in the rectangle, or in the whole photo, and shows it. */
+/** Asks the server for the outline of the object in the rectangle, or in the whole photo, and shows it. Of several photos the surface
+ * tells it later. */
 async function lookAgain() {
   if (!file) return;
   lastRequest += 1;
   const request = lastRequest;
   drawOutline([]);
+  if (several.length) {
+    page.note.textContent = box
+      ? t('The object in the rectangle is made into a mesh, without what stands around it.')
+      : t('Draw a rectangle around the object, on the photo.');
+    return;
+  }
   document.body.dataset.outlined = '';
   page.note.textContent = t('Looking for the object …');
   const text = await findOutline(file, request).catch((error) => (isConnectionProblem(error) ? '' : sentences(error)));
@@ -189,3 +246,4 @@ page.drawing.addEventListener('pointerup', endDrawing);
 page.drawing.addEventListener('pointercancel', endDrawing);
 page.drawing.addEventListener('keydown', changeByKey);
 page.clear.addEventListener('click', () => setBox(null));
+page.mark.addEventListener('toggle', listPhotos);

@@ -8,7 +8,7 @@ import { captureAddress } from './upload-form.js';
 import { hasOtherTenant, ofShownTenant, ownName, showAsVisitor } from './whose.js';
 import { CACHED_COPY_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
-/** @import { About } from './upload-form.js' */
+/** @import { About, MarkedBox } from './upload-form.js' */
 /** @import { AnchorPoints, AnchorsEvent, AssetEntry, CaptureReceipt, JobProgress, PhotoOutline, Session } from './types.d.ts' */
 
 const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
@@ -177,7 +177,7 @@ export async function deleteAt(url) {
 /**
  * Outline the thing in a photo.
  * @param {File} photo
- * @param {number[] | null} box the rectangle that the thing lies in
+ * @param {MarkedBox | null} box the rectangle that the object lies in
  * @returns {Promise<PhotoOutline>}
  * @throws {Problem} as `getJson`
  */

@@ -6,6 +6,7 @@ import { KEPT_STORAGE_MS, withTimeLimit } from './time-limits.js';
 const DATABASE = 'capture2vr-kept';
 const [CAPTURES, FILES] = ['captures', 'files'];
 
+/** @import { MarkedBox } from './upload-form.js' */
 /** @typedef {{ path: string, body: Record<string, unknown> }} JobOrder what is posted, and where, once the capture's id is known */
 
 /**
@@ -17,7 +18,7 @@ const [CAPTURES, FILES] = ['captures', 'files'];
  * @property {'draft' | 'waiting' | 'sent' | 'refused'} state a draft is still being made, and never sent
  * @property {string} name of the thing; '' where a draft has none yet
  * @property {string} jobKey with which the job is made once, however often it is asked for
- * @property {number[] | null} box the rectangle that the thing lies in, in a single photo
+ * @property {MarkedBox | null} box the rectangle that the object lies in
  * @property {JobOrder | null} order null for a draft
  * @property {string} continues id of the stored capture that these photos are added to; '' for none
  * @property {string} [adds] id of the job whose thing these photos are added to; '' for a new thing

@@ -434,7 +434,7 @@ export interface JobRequest {
   cut: Cut;
   longest_m: number | null;
   fill: string;
-  box: [left: number, top: number, right: number, bottom: number] | null;
+  box: [left: number, top: number, right: number, bottom: number, photo?: string] | null;
   visibility: Visibility | '';
 }
 

@@ -222,6 +222,26 @@ def test_a_rectangle_chooses_within_an_alpha_channel() -> None:
         cut_out(replace(photo(rgb), load_alpha=lambda: alpha), PhotoBox(0.0, 0.0, 0.1, 0.1))
 
 
+def test_a_mask_of_another_shape_or_broken_is_not_used_and_said() -> None:
+    rgb, _, blue = two_discs()
+    wide = replace(photo(rgb, name="discs.jpg"), load_mask=lambda: np.ones((H, 3 * W), bool))
+
+    def broken() -> Bools:
+        raise CaptureError("IMAGE_UNREADABLE", "cannot be decoded", file="discs_mask.png")
+
+    for masked, why in (
+        (wide, f"{3 * W} × {H}"),
+        (replace(wide, load_mask=broken), "discs_mask.png: cannot be decoded"),
+    ):
+        cut = cut_out(masked, box_around(blue))
+        assert overlap(in_photo(cut, (H, W)), blue) > 0.95
+        (warning,) = cut.warnings
+        assert why in warning
+    given = replace(wide, load_mask=lambda: blue)
+    assert cut_out(given).warnings == ()
+    assert overlap(in_photo(cut_out(given), (H, W)), blue) > 0.95
+
+
 @pytest.mark.slow
 def test_real_photos_of_ordinary_scenes_are_not_refused(data_dir: Path) -> None:
     """A statue before houses, and a white chair before a white curtain: proposed at least, and found in a rectangle."""

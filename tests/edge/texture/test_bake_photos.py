@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,6 +96,19 @@ def test_what_stood_before_the_camera_is_left_to_the_points() -> None:
     """A hand in the picture: the mesh knows nothing of it, the depth image does."""
     pictures = PhotoProjection(GROUND, [photo((0, 0, 1.5), depth=0.7)], known())
     assert (light_of(pictures, places())[1] == 0).all()
+
+
+@pytest.mark.parametrize("depth", [None, 1.5])
+def test_what_a_mask_leaves_out_is_left_to_the_points(depth: float | None) -> None:
+    """Where objects touch, a photo's depth does not tell them apart."""
+    left = np.zeros((60, 60), bool)
+    left[:, :30] = True
+    masked = replace(photo((0, 0, 1.5), depth=depth), load_mask=lambda: left)
+    at = places()
+    shown, sure = light_of(PhotoProjection(GROUND, [masked], known()), at)
+    assert (sure[at[:, 0] < -0.05] == 1).all()
+    assert (sure[at[:, 0] > 0.05] == 0).all()
+    assert np.abs(shown - waves(at))[at[:, 0] < -0.05].max() <= 4
 
 
 @pytest.mark.parametrize("depth", [None, 2.0])

@@ -275,7 +275,7 @@ NUMBERS = {
     "tenant token visibility capture description labels edits publish_anyway",
     "AttachRequest": "job after_seq token",
     "CancelRequest": "job token",
-    "Box": "left top right bottom",
+    "Box": "left top right bottom photo",
     "Inspection": "kind format frames points warnings failure outline i18n",
     "Preset": "name summary trained memory_bytes literature takes i18n",
     "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",

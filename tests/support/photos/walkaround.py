@@ -42,13 +42,15 @@ _GLOSS_POWER = 40  # of a highlight (Blinn and Phong): half as bright 11 degrees
 @dataclass(frozen=True, slots=True)
 class Walkaround:
     """photos: the files in the order of the walk; intrinsics: of each that is a plain `Shot`; camera_to_world (N,4,4)
-    in OpenCV axes; thing: the shell alone, as rendered; floor_z: the height of the table."""
+    in OpenCV axes; thing: the shell alone, as rendered; floor_z: the height of the table; neighbour: the box beside the
+    shell, without its bottom, None where there is none."""
 
     photos: tuple[Path, ...]
     intrinsics: Intrinsics
     camera_to_world: Floats
     thing: Mesh
     floor_z: float
+    neighbour: Mesh | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,7 @@ def render_walkaround(
     shots: Sequence[Shot] = (Shot(),),
     gains: Floats | None = None,
     gloss: float = 0.0,
+    neighbour: bool = False,
 ) -> Walkaround:
     """Photograph the shell `views` times on `arc` degrees around it.
 
@@ -103,10 +106,16 @@ def render_walkaround(
     back      whether the walk turns half way, and goes back
     shots     how the photos are taken, again and again in this order
     gains     (views,3) of the linear light, besides the tenth by which exposures differ: exposure and white balance
+    neighbour whether a box stands on the table beside the shell, a hand's breadth away
     gloss     light that the middle of the sun's reflection on shell and table adds, where white is 1
     """
     rng = np.random.default_rng(seed)
-    sheets = (_shell(), *_surroundings(rng, repeat_m))
+    beside = (
+        _box(np.array([0.3, 0.1, FLOOR_Z]), np.array([0.13, 0.1, 0.16]), 0.7, np.array([1.0, 1, 0]))
+        if neighbour
+        else []
+    )
+    sheets = (_shell(), *_surroundings(rng, repeat_m), *beside)
     stage = _Stage(sheets, rng, contrast)
     poses = _walk(views, arc, rng, back=back)
     folder.mkdir(parents=True, exist_ok=True)
@@ -122,7 +131,9 @@ def render_walkaround(
         path = folder / f"IMG_{number:04}.jpg"
         Image.fromarray(rgb).save(path, quality=jpeg, subsampling=1, exif=_exif(exif, shot))
         photos.append(path)
-    return Walkaround(tuple(photos), _camera(size), poses, _mesh(sheets[:1]), FLOOR_Z)
+    return Walkaround(
+        tuple(photos), _camera(size), poses, _mesh(sheets[:1]), FLOOR_Z, _mesh(beside) if beside else None
+    )
 
 
 def film_walkaround(

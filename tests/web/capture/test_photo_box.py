@@ -156,7 +156,34 @@ def test_where_there_is_nothing_the_page_says_so_before_sending(page: Page, stac
     expect(page.locator("#which-note")).to_contain_text("shows nothing", ignore_case=True)
 
 
-def test_several_photos_have_no_rectangle(page: Page, stack: Stack, photo: Path, tmp_path: Path) -> None:
+def test_the_object_is_marked_in_one_of_several_photos(page: Page, stack: Stack, photo: Path, tmp_path: Path) -> None:
+    """All have the name that phones' cameras give; the server numbers them, and refuses what shows too little."""
+    paths = [tmp_path / str(number) / "image.jpg" for number in range(3)]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_bytes(photo.read_bytes() + b"\0" * len(path.parent.name))
+    page.goto(stack.url)
+    page.locator("#photos").set_input_files(paths)
+    expect(page.locator("#which")).to_be_hidden()
+    await_data(page, looked="3")
+    page.get_by_text("Mark the object", exact=True).click()
+    second = page.get_by_role("button", name="Mark the object in image.jpg").nth(1)
+    second.click()
+    expect(second).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#which-note")).to_contain_text("Draw a rectangle")
+    draw(page, *around(BLUE))
+    expect(page.locator("#which-note")).to_contain_text("without what stands around it")
+    (left, top), (right, bottom) = around(BLUE)
+    with page.expect_request("**/v1/captures?*") as upload, page.expect_request("**/v1/jobs") as job:
+        page.locator("#name").fill("disc")
+        page.get_by_role("button", name="Send").click()
+    *box, name = json.loads(job.value.post_data or "")["box"]
+    assert np.allclose(np.multiply(box, [WIDTH, HEIGHT] * 2), [left, top, right, bottom], atol=4)
+    assert name == "image-2.jpg"
+    assert upload.value.url.endswith(f"/v1/captures?box={','.join(map(str, box))},photo=image-2.jpg")
+
+
+def test_two_photos_have_no_rectangle(page: Page, stack: Stack, photo: Path, tmp_path: Path) -> None:
     Image.new("RGB", (400, 300), (90, 90, 90)).save(tmp_path / "other.jpg")
     choose(page, stack, photo)
     outlined(page)

@@ -1,0 +1,102 @@
+"""Isolate the object that a person drew a rectangle around, and mask it in all photos."""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from capture2vr.edge.arrays import Bools, Floats, Tick, no_tick
+from capture2vr.edge.capture.frame_records import first_names
+from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.fusion.texture_views import texture_view
+from capture2vr.edge.marking.marked_object import Mark, choose_marked, middle_of
+from capture2vr.edge.marking.outline_points import outline_points, seen_points
+from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.points.isolate import IsolatedObject, isolate_object
+from capture2vr.edge.points.nouns import Points, TextureView
+from capture2vr.edge.render.place_views import posed_picture
+from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
+
+_HERE = np.eye(4)  # photos and points share the capture's frame
+
+
+def with_marked_photo(capture: Capture, box: PhotoBox | None) -> PhotoBox | None:
+    """Return a rectangle with the name of the photo that it is drawn in, which it may name without its folder; where it
+    names none, that of the first one.
+
+    Raises CaptureError: BOX_NOT_APPLICABLE for a capture without photos, BOX_UNKNOWN_PHOTO for another photo's name.
+    """
+    if box is None:
+        return None
+    names = [photo.name for photo in capture.photos]
+    names += [frame.shown.name for frame in capture.frames if frame.shown and frame.load_rgb]
+    if not names:
+        reason = say("rectangle_needs_a_photo", format=capture.format)
+        raise CaptureError("BOX_NOT_APPLICABLE", reason, hints=(say("leave_rectangle_out_box"),))
+    meant = [name for name in names if name == box.photo] or [
+        name for name in names if posixpath.basename(name) == posixpath.basename(box.photo)
+    ]
+    if box.photo and len(meant) != 1:
+        reason = say("rectangle_in_unknown_photo", photo=box.photo, names=first_names(names))
+        raise CaptureError("BOX_UNKNOWN_PHOTO", reason, hints=(say("name_one_them_as_capture"),))
+    return replace(box, photo=meant[0] if box.photo else names[0])
+
+
+def find_mark(capture: Capture, box: PhotoBox) -> Mark:
+    """Find the frame of the photo that a rectangle names. Raises CaptureError BOX_PHOTO_UNUSED without one."""
+    for frame in capture.frames:
+        if frame.shown and frame.shown.name == box.photo and frame.load_rgb:
+            return Mark(posed_picture(texture_view(frame), _HERE), frame.shown, box)
+    why = next((each.advice for each in capture.verdicts if each.name == box.photo and each.advice), "")
+    hints = (say("draw_rectangle_in_another_photo"), *filter(None, [why]))
+    raise CaptureError("BOX_PHOTO_UNUSED", say("rectangle_in_unused_photo"), file=box.photo, hints=hints)
+
+
+def isolate_marked(
+    points: Points, mark: Mark, *, cameras: Floats, turntable: bool = False, tick: Tick = no_tick
+) -> IsolatedObject:
+    """Keep the marked object, as `isolate_object` keeps the one in the middle, and mask it in the views of the points.
+
+    Raises CaptureError CAPTURE_NOTHING_LEFT where nothing in the rectangle has depth.
+    """
+    aim = middle_of(mark, points.xyz)
+    if aim is None:
+        raise _no_depth(mark)
+    pictures = [
+        mark.picture,
+        *(posed_picture(view, _HERE) for view in points.texture_views if view.name != mark.picture.name),
+    ]
+
+    def choose(candidates: Bools, _: Floats | None) -> Bools:
+        return choose_marked(points.xyz, points.rgb, candidates, mark, pictures)
+
+    try:
+        isolated = isolate_object(points, aim=aim, cameras=cameras, turntable=turntable, choose=choose, tick=tick)
+    except CaptureError:
+        raise _no_depth(mark) from None
+    masked = partial(_masked_views, xyz=points.xyz, is_object=isolated.kept)
+    kept = isolated.points
+    kept = replace(kept, texture_views=masked(kept.texture_views), held_out_views=masked(kept.held_out_views))
+    return replace(isolated, points=kept)
+
+
+def _no_depth(mark: Mark) -> CaptureError:
+    hints = (say("draw_rectangle_around_whole_thing"), say("again_matt"))
+    return CaptureError("CAPTURE_NOTHING_LEFT", say("marked_gave_no_depth"), file=mark.shown.name, hints=hints)
+
+
+def _masked_views(views: Sequence[TextureView], *, xyz: Floats, is_object: Bools) -> tuple[TextureView, ...]:
+    """Give each view a mask of the object, where it has none and shows the object's points (N,) among all (N,3)."""
+
+    def masked(view: TextureView) -> TextureView:
+        picture = posed_picture(view, _HERE)
+        outline = None if view.load_mask else outline_points(picture, seen_points(picture, xyz), is_object)
+        return view if outline is None else replace(view, load_mask=partial(np.asarray, outline))
+
+    return tuple(in_threads(masked, views))
