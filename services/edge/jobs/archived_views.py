@@ -1,4 +1,5 @@
-"""Pictures in the archive of prepared points: a JPEG and a depth image each, with the camera in the archive's head."""
+"""Pictures in the archive of prepared points: a JPEG, a depth image and perhaps a mask each, with the camera in the
+archive's head."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import ConfigDict, Field
 
+from capture2vr.edge.arrays import Bools, Bytes
 from capture2vr.edge.capture.images import header_size
 from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.capture.photo_copy import COPY_PX, encode_copy
@@ -26,12 +28,15 @@ _MOST_PICTURE_BYTES = 8 << 20  # 1,920 x 1,920 pixels of noise take 6 MB
 _DEPTH_SIDE = 2048
 _DEPTH_STEPS = np.iinfo(np.uint16).max
 _LEAST_DEPTH = 1e-30  # for an image without any
-VIEW_BYTES = _MOST_PICTURE_BYTES + 2 * _DEPTH_SIDE**2 + 1024
+VIEW_BYTES = _MOST_PICTURE_BYTES + 2 * _DEPTH_SIDE**2 + _DEPTH_SIDE**2 // 8 + 2 * 1024
+VIEW_FILES = 3
+"""Most files of a picture."""
 _UNIT = 0.01  # tolerance of a rotation
 _JPEG_HEAD_BYTES = 4096  # holds the size of what `encode_copy` writes
 
 _Positive = Annotated[float, Field(gt=0)]
 _Row = tuple[float, float, float, float]
+_Shape = tuple[Annotated[int, Field(gt=0, le=_DEPTH_SIDE)], Annotated[int, Field(gt=0, le=_DEPTH_SIDE)]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +46,7 @@ class ArchivedView:
     camera           fx, fy, cx, cy of images of `size` (w,h)
     camera_to_world  the first three rows of the pose
     depth_shape      (h,w) of its depth image, in which 1 is `depth_step`, in units of the capture
+    mask_shape       (h,w) of its mask; None without one
     """
 
     name: str
@@ -49,18 +55,21 @@ class ArchivedView:
     camera_to_world: tuple[_Row, _Row, _Row]
     tracked: bool
     held_out: bool
-    depth_shape: tuple[Annotated[int, Field(gt=0, le=_DEPTH_SIDE)], Annotated[int, Field(gt=0, le=_DEPTH_SIDE)]]
+    depth_shape: _Shape
     depth_step: _Positive
+    mask_shape: _Shape | None
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedView:
-    """A picture as the archive has it: its JPEG, its depth (H,W) uint16, and what the head tells of it."""
+    """A picture as the archive has it: its JPEG, its depth (H,W) uint16, the rows of its mask (h,⌈w/8⌉) uint8 in bits,
+    and what the head tells of it."""
 
     jpeg: bytes
     depth: Any
+    mask: Bytes | None
     head: ArchivedView
 
 
@@ -72,19 +81,22 @@ def encode_views(points: Points) -> list[EncodedView]:
 
 
 def write_views(packed: zipfile.ZipFile, views: Sequence[EncodedView]) -> None:
-    """Write pictures and depths to the archive."""
+    """Write pictures, depths and masks to the archive."""
     for number, view in enumerate(views):
         packed.writestr(_picture_name(number), view.jpeg)
         write_array(packed, _depth_name(number), view.depth)
+        if view.mask is not None:
+            write_array(packed, _mask_name(number), view.mask)
 
 
-def view_files(count: int) -> set[str]:
-    """Return the file names of `count` pictures in the archive of points."""
-    return {name(number) for number in range(count) for name in (_picture_name, _depth_name)}
+def view_files(heads: Sequence[ArchivedView]) -> set[str]:
+    """Return the names of the pictures' files in the archive of points."""
+    masks = {_mask_name(number) for number, head in enumerate(heads) if head.mask_shape}
+    return {name(number) for number in range(len(heads)) for name in (_picture_name, _depth_name)} | masks
 
 
 def read_views(folder: Path, heads: Sequence[ArchivedView], head_file: str) -> list[TextureView]:
-    """Check the pictures and depths of an unpacked archive, and return views that load the pictures from there.
+    """Check the pictures, depths and masks of an unpacked archive, and return views that load the pictures from there.
 
     head_file: name of the file that `heads` is from. Raises EdgeError POINTS_INVALID.
     """
@@ -92,9 +104,8 @@ def read_views(folder: Path, heads: Sequence[ArchivedView], head_file: str) -> l
 
 
 def _encode(view: TextureView, *, held_out: bool) -> EncodedView:
-    depth = view.load_depth_m()
-    by = -(-max(depth.shape) // _DEPTH_SIDE)
-    depth = depth[::by, ::by]
+    depth = _at_most(view.load_depth_m())
+    mask = None if view.load_mask is None else _at_most(view.load_mask())
     height, width = depth.shape
     step = max(float(depth.max(initial=0.0)), _LEAST_DEPTH) / _DEPTH_STEPS
     lens = view.intrinsics
@@ -108,8 +119,16 @@ def _encode(view: TextureView, *, held_out: bool) -> EncodedView:
         held_out=held_out,
         depth_shape=(height, width),
         depth_step=step,
+        mask_shape=None if mask is None else mask.shape,
     )
-    return EncodedView(encode_copy(view.load_rgb()), np.round(depth / step).astype("<u2"), head)
+    bits = None if mask is None else np.packbits(mask, axis=1)
+    return EncodedView(encode_copy(view.load_rgb()), np.round(depth / step).astype("<u2"), bits, head)
+
+
+def _at_most(image: Any) -> Any:
+    """Leave out rows and columns of an image (H,W) that is larger than the archive's."""
+    by = -(-max(image.shape) // _DEPTH_SIDE)
+    return image[::by, ::by]
 
 
 def _read_view(folder: Path, number: int, view: ArchivedView, head_file: str) -> TextureView:
@@ -125,6 +144,7 @@ def _read_view(folder: Path, number: int, view: ArchivedView, head_file: str) ->
     if size is None or not 0 < min(size) <= max(size) <= COPY_PX:
         raise invalid(f"is no picture of at most {COPY_PX} x {COPY_PX} pixels", name)
     steps = read_array(folder / _depth_name(number), np.dtype("<u2"), view.depth_shape)
+    mask = _read_mask(folder / _mask_name(number), view.mask_shape) if view.mask_shape else None
     return TextureView(
         Intrinsics(*view.camera, *view.size),
         pose,
@@ -132,7 +152,14 @@ def _read_view(folder: Path, number: int, view: ArchivedView, head_file: str) ->
         lambda: np.asarray(steps * np.float32(view.depth_step), np.float32),
         view.name,
         tracked=view.tracked,
+        load_mask=None if mask is None else lambda: mask,
     )
+
+
+def _read_mask(path: Path, shape: tuple[int, int]) -> Bools:
+    height, width = shape
+    bits = read_array(path, np.dtype("|u1"), (height, -(-width // 8)))
+    return np.unpackbits(bits, axis=1, count=width).astype(bool)
 
 
 def _picture_name(number: int) -> str:
@@ -141,3 +168,7 @@ def _picture_name(number: int) -> str:
 
 def _depth_name(number: int) -> str:
     return f"view-{number}.depth"
+
+
+def _mask_name(number: int) -> str:
+    return f"view-{number}.mask"

@@ -7,6 +7,7 @@ confidence.npy  (N,) float32
 whole.bin       all points of a large scene, of which the others are some: records of archived_whole.py
 view-N.picture  JPEG, for the textures, or to compare with, at most `COPY_PX` pixels on its longer side
 view-N.depth    .npy, (H,W) uint16, its depth in steps that points.json has; 0 where unknown
+view-N.mask     .npy, (H,⌈W/8⌉) uint8, a bit for each pixel that shows the object; absent without a mask
 
 Nothing else is compressed: coordinates hardly deflate, and the link between two workers is fast.
 """
@@ -28,6 +29,7 @@ from capture2vr.edge.jobs.archived_arrays import invalid, read_array, write_arra
 from capture2vr.edge.jobs.archived_views import (
     MOST_VIEWS,
     VIEW_BYTES,
+    VIEW_FILES,
     ArchivedView,
     encode_views,
     read_views,
@@ -42,7 +44,7 @@ from capture2vr.process.archives import ArchiveError, ArchiveLimits, unpack
 from capture2vr.process.atomic_write import atomic_write
 from capture2vr.sentences.documents import restored, with_codes, with_sentences
 
-VERSION = 8
+VERSION = 9
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
@@ -55,7 +57,7 @@ _HEAD, _XYZ, _RGB, _CONFIDENCE, _INFERRED = "points.json", "xyz.npy", "rgb.npy",
 _HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB, 2,000 cameras 1 MB
 _POINT_BYTES = 24 + 3 + 4 + 1  # xyz, rgb, confidence, inferred
 _LIMITS = ArchiveLimits(
-    entries=6 + 2 * MOST_VIEWS,
+    entries=6 + VIEW_FILES * MOST_VIEWS,
     total_bytes=_HEAD_BYTES
     + MOST_POINTS * _POINT_BYTES
     + 4 * 1024
@@ -133,7 +135,7 @@ def _files_of(head: _Head) -> set[str]:
     """Return the names of the files that an archive with this head has."""
     optional = ({_RGB} if head.coloured else set()) | ({WHOLE} if head.whole else set())
     optional |= {_INFERRED} if head.completed else set()
-    return {_HEAD, _XYZ, _CONFIDENCE} | view_files(len(head.views)) | optional
+    return {_HEAD, _XYZ, _CONFIDENCE} | view_files(head.views) | optional
 
 
 def _read_points(scratch: Path, head: _Head) -> Points:

@@ -42,7 +42,7 @@ TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
 def view(number: int) -> TextureView:
-    """A smooth picture with its depth, where a third is unknown."""
+    """A smooth picture with its depth, where a third is unknown; every second one has a mask, of a size of its own."""
     place = np.linspace(0, 1, 60)
     rgb = np.asarray(255 * np.stack([np.outer(place, place), *np.meshgrid(place, place)], axis=-1), np.uint8)
     depth = np.float32(1 + number + np.outer(place[:40], place[:40]))
@@ -52,7 +52,9 @@ def view(number: int) -> TextureView:
     pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     pose[:3, 3] = number, -1.0, 1e5
     lens = Intrinsics(50.0, 51.0, 29.5, 30.5, 60, 60)
-    return TextureView(lens, pose, lambda: rgb, lambda: depth, f"IMG_{number}.jpg", tracked=number == 1)
+    mask = np.add.outer(np.arange(30), np.arange(45)) % 3 > number % 2
+    load_mask = None if number == 1 else lambda: mask
+    return TextureView(lens, pose, lambda: rgb, lambda: depth, f"IMG_{number}.jpg", number == 1, load_mask)
 
 
 def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoints:
@@ -289,7 +291,7 @@ HEADS: dict[str, Any] = {
 }
 
 
-def test_pictures_come_along_with_their_cameras_and_depths(tmp_path: Path) -> None:
+def test_pictures_come_along_with_their_cameras_depths_and_masks(tmp_path: Path) -> None:
     prepared = prepared_points()
     write_prepared(prepared, tmp_path / "points.zip")
     found = read_prepared(tmp_path / "points.zip", tmp_path / "scratch").points
@@ -305,6 +307,9 @@ def test_pictures_come_along_with_their_cameras_and_depths(tmp_path: Path) -> No
         depth, read = ours.load_depth_m(), theirs.load_depth_m()
         np.testing.assert_array_equal(depth == 0, read == 0)
         np.testing.assert_allclose(read, depth, rtol=1e-4)
+        assert (ours.load_mask is None) == (theirs.load_mask is None)
+        if ours.load_mask and theirs.load_mask:
+            np.testing.assert_array_equal(theirs.load_mask(), ours.load_mask())
 
 
 VIEWS: dict[str, dict[str, Any]] = {
@@ -314,6 +319,7 @@ VIEWS: dict[str, dict[str, Any]] = {
     "a depth image beyond any": {"depth_shape": [40, 1 << 20]},
     "a depth without a step": {"depth_step": 0},
     "an image without a width": {"size": [0, 60]},
+    "a mask beyond any": {"mask_shape": [1 << 20, 40]},
 }
 
 
@@ -324,7 +330,9 @@ def test_a_view_that_is_none_is_refused(tmp_path: Path, files: Files, what: str)
     assert refusal(tmp_path, {**files, "points.json": json.dumps(head).encode()}).file == "points.json"
 
 
-@pytest.mark.parametrize("what", ["no picture", "a huge picture", "a torn depth", "a depth of another size"])
+@pytest.mark.parametrize(
+    "what", ["no picture", "a huge picture", "a torn depth", "a depth of another size", "a torn mask"]
+)
 def test_a_picture_that_is_none_is_named(tmp_path: Path, files: Files, what: str) -> None:
     huge = np.zeros((16, 2_000, 3), np.uint8)
     name, content = {
@@ -332,6 +340,7 @@ def test_a_picture_that_is_none_is_named(tmp_path: Path, files: Files, what: str
         "a huge picture": ("view-1.picture", encode_copy(huge)),
         "a torn depth": ("view-2.depth", files["view-2.depth"][:-3]),
         "a depth of another size": ("view-0.depth", npy(np.zeros((4, 4), np.uint16))),
+        "a torn mask": ("view-2.mask", files["view-2.mask"][:-1]),
     }[what]
     assert refusal(tmp_path, {**files, name: content}).file == name
 
@@ -366,8 +375,8 @@ def test_a_missing_file_is_named(tmp_path: Path, files: Files, name: str) -> Non
 
 def test_a_file_too_many_and_a_way_out_are_refused(tmp_path: Path, files: Files) -> None:
     assert "more.npy" in refusal(tmp_path, {**files, "more.npy": b"x"}).message
-    many = {f"more-{number}.npy": b"x" for number in range(100)}
-    assert f"{len(files) + 100} entries" in refusal(tmp_path, {**files, **many}).message
+    many = {f"more-{number}.npy": b"x" for number in range(200)}
+    assert f"{len(files) + 200} entries" in refusal(tmp_path, {**files, **many}).message
     named = {("other.npy" if name == "rgb.npy" else name): content for name, content in files.items()}
     assert "other.npy" in refusal(tmp_path, named).message
     refusal(tmp_path, {**files, "../escaped": b"x"})
