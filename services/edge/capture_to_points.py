@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from capture2vr.edge.arrays import Tick, no_tick, part_of, pick
+from capture2vr.edge.arrays import Floats, Tick, no_tick, part_of, pick
 from capture2vr.edge.capture.nouns import Capture, CaptureKind, Frame, PhotoVerdict
 from capture2vr.edge.closing.close_object import close_object
 from capture2vr.edge.errors import CaptureError
@@ -24,7 +24,7 @@ from capture2vr.edge.fusion.texture_views import (
     select_texture_views,
     texture_view,
 )
-from capture2vr.edge.marking.isolate_marked import find_mark, isolate_marked, with_marked_photo
+from capture2vr.edge.marking.isolate_marked import isolate_marked, what_to_keep, with_marked_photo
 from capture2vr.edge.marking.marked_object import Mark
 from capture2vr.edge.odometry.posed_frames import with_poses
 from capture2vr.edge.photos.depth_maps import at_texture_resolution
@@ -34,7 +34,7 @@ from capture2vr.edge.points.denoise_stereo import smooth_stereo_points
 from capture2vr.edge.points.edit import cut_away, set_frame
 from capture2vr.edge.points.flatness import flatness_warning
 from capture2vr.edge.points.frame_faults import FrameFaults
-from capture2vr.edge.points.isolate import isolate_object
+from capture2vr.edge.points.isolate import IsolatedObject, isolate_object
 from capture2vr.edge.points.lasso import require_photos
 from capture2vr.edge.points.nouns import CutReport, Points, TextureView
 from capture2vr.edge.points.outliers import inliers
@@ -177,12 +177,11 @@ def to_points(
     capture, tick = _with_poses(capture, tick)
     if capture.kind == "points":
         return _cloud_points(capture, voxel, cut, tick)
-    mark = find_mark(capture, box) if box and cut != "scene" else None
-    cut = "object" if mark else cut
+    wanted = what_to_keep(capture, cut, box)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     faults = FrameFaults()  # what is compared at the end of a job must not end it
     held_out = tuple(frame for frame in held_out if faults.read_depth(frame) and faults.read_picture(frame) is not None)
-    fused, points = _fused_points(capture, frames, voxel, cut, tick)
+    fused, points = _fused_points(capture, frames, voxel, wanted, tick)
     points = replace(
         points,
         held_out_views=tuple(map(texture_view, held_out)),
@@ -190,7 +189,7 @@ def to_points(
         drawn_in=tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn),
         warnings=(*points.warnings, *faults.warnings(len(fused.frames))),
     )
-    points = _cut(points, replace(capture, frames=fused.frames), fused, mark or cut, fill, tick)
+    points = _cut(points, replace(capture, frames=fused.frames), fused, wanted, fill, tick)
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))
     return points
@@ -214,17 +213,17 @@ def _cloud_points(capture: Capture, voxel: float | None, cut: Cut, tick: Tick) -
 
 
 def _fused_points(
-    capture: Capture, frames: tuple[Frame, ...], voxel: float | None, cut: Cut, tick: Tick
+    capture: Capture, frames: tuple[Frame, ...], voxel: float | None, cut: Cut | Mark, tick: Tick
 ) -> tuple[FusedPoints, Points]:
     """Fuse frames and clean their points; a large scene box by box, unless an object is cut out of it in memory."""
     share = _share_to_cut(cut)
-    in_parts = not has_stereo_depth(frames) and cut != "object"
+    in_parts = not has_stereo_depth(frames) and cut in ("auto", "scene")
     fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
     seen = replace(capture, frames=fused.frames)
     return fused, _rgbd_points(seen, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
 
 
-def _share_to_cut(cut: Cut) -> float:
+def _share_to_cut(cut: Cut | Mark) -> float:
     """Share of the time to the points that passes before anything is cut out of them."""
     return 1.0 if cut == "scene" else 0.9
 
@@ -239,17 +238,9 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut | Mark, 
         return replace(points, cut=_ALL_WANTED)
     if cut == "auto" and (scene := sees_a_scene(capture.frames)):
         return replace(points, cut=CutReport("scene", scene))
-    before, aim = part_of(tick, 0, _CLOSING), sure_aim(capture.frames)
-    cameras, turntable = fused.cameras, capture.turntable
+    aim = sure_aim(capture.frames)
     try:
-        if isinstance(cut, Mark):
-            isolated = isolate_marked(points, cut, cameras=cameras, turntable=turntable, tick=before)
-        else:
-            masked = any(frame.load_mask for frame in capture.frames)
-            where = fused.aim if aim is None else aim
-            isolated = isolate_object(
-                points, aim=where, cameras=cameras, turntable=turntable, masked=masked, tick=before
-            )
+        isolated = _isolated(points, capture, fused, cut, aim, part_of(tick, 0, _CLOSING))
     except CaptureError as error:
         if cut != "auto":
             raise
@@ -257,9 +248,20 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut | Mark, 
         left = say("surroundings_not_removed", why=error.message)
         return replace(points, cut=kept, warnings=(*points.warnings, left))
     if aim is not None and cut == "auto":
-        require_aim(isolated.points.xyz, aim, cameras)
+        require_aim(isolated.points.xyz, aim, fused.cameras)
     thing = replace(isolated.points, unseen=unseen_sides(isolated.points, capture.frames))
     return close_object(thing, isolated.support, fill, part_of(tick, _CLOSING, 1))
+
+
+def _isolated(
+    points: Points, capture: Capture, fused: FusedPoints, cut: Cut | Mark, aim: Floats | None, tick: Tick
+) -> IsolatedObject:
+    """Cut out the marked object, or the one in the middle."""
+    cameras, turntable = fused.cameras, capture.turntable
+    if isinstance(cut, Mark):
+        return isolate_marked(points, cut, cameras=cameras, turntable=turntable, tick=tick)
+    masked, where = any(frame.load_mask for frame in capture.frames), fused.aim if aim is None else aim
+    return isolate_object(points, aim=where, cameras=cameras, turntable=turntable, masked=masked, tick=tick)
 
 
 def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:

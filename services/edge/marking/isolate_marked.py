@@ -20,6 +20,7 @@ from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.points.isolate import IsolatedObject, isolate_object
 from capture2vr.edge.points.nouns import Points, TextureView
 from capture2vr.edge.render.place_views import posed_picture
+from capture2vr.order.option_table import Cut
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.sentences.sentence import say
 
@@ -39,17 +40,29 @@ def with_marked_photo(capture: Capture, box: PhotoBox | None) -> PhotoBox | None
     if not names:
         reason = say("rectangle_needs_a_photo", format=capture.format)
         raise CaptureError("BOX_NOT_APPLICABLE", reason, hints=(say("leave_rectangle_out_box"),))
-    meant = [name for name in names if name == box.photo] or [
-        name for name in names if posixpath.basename(name) == posixpath.basename(box.photo)
-    ]
-    if box.photo and len(meant) != 1:
+    meant = _meant(box.photo, names)
+    if len(meant) != 1:
         reason = say("rectangle_in_unknown_photo", photo=box.photo, names=first_names(names))
         raise CaptureError("BOX_UNKNOWN_PHOTO", reason, hints=(say("name_one_them_as_capture"),))
-    return replace(box, photo=meant[0] if box.photo else names[0])
+    return replace(box, photo=meant[0])
 
 
-def find_mark(capture: Capture, box: PhotoBox) -> Mark:
-    """Find the frame of the photo that a rectangle names. Raises CaptureError BOX_PHOTO_UNUSED without one."""
+def _meant(photo: str, names: Sequence[str]) -> list[str]:
+    """Return those of the names that are a photo's, without their folders where none is the whole name; the first one
+    for a rectangle that names no photo."""
+    if not photo:
+        return [*names[:1]]
+    file = posixpath.basename(photo)
+    return [name for name in names if name == photo] or [name for name in names if posixpath.basename(name) == file]
+
+
+def what_to_keep(capture: Capture, cut: Cut, box: PhotoBox | None) -> Cut | Mark:
+    """Return the mark that a rectangle makes in the photo that it names; what is cut without one, or where all is kept.
+
+    Raises CaptureError BOX_PHOTO_UNUSED where that photo has no frame.
+    """
+    if box is None or cut == "scene":
+        return cut
     for frame in capture.frames:
         if frame.shown and frame.shown.name == box.photo and frame.load_rgb:
             return Mark(posed_picture(texture_view(frame), _HERE), frame.shown, box)

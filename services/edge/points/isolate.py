@@ -99,12 +99,8 @@ def isolate_object(
     origin = np.median(points.xyz, axis=0)
     xyz = points.xyz - origin
     middle = aim - origin if aim is not None else None
-    if turntable and points.up is not None:
-        near, plane = np.ones(len(xyz), bool), _turntable_plate(xyz, points.up)
-    else:
-        eyes = None if cameras is None else cameras - origin
-        near = _near_mask(xyz, middle, eyes)
-        plane = _supporting_plane(xyz[near], points.up, eyes)
+    eyes = None if cameras is None else cameras - origin
+    near, plane = _near_with_support(xyz, points.up, middle, eyes, turntable=turntable)
     tick(0.93)
     least = LEAST_POINTS if choose else max(LEAST_POINTS, _MIN_SHARE * len(xyz))
     chosen = choose or partial(cluster_near, xyz, middle=middle)
@@ -130,6 +126,16 @@ def isolate_object(
         uncut=_sample(points),
     )
     return IsolatedObject(thing, None if cut.plane is None else cut.plane.moved(origin), cut.thing)
+
+
+def _near_with_support(
+    xyz: Floats, up: Floats | None, middle: Floats | None, cameras: Floats | None, *, turntable: bool
+) -> tuple[Bools, Plane | None]:
+    """Find the points (N,) that are not surroundings, and the plane that the object stands on."""
+    if turntable and up is not None:
+        return np.ones(len(xyz), bool), _turntable_plate(xyz, up)
+    near = _near_mask(xyz, middle, cameras)
+    return near, _supporting_plane(xyz[near], up, cameras)
 
 
 def _cut_off(

@@ -15,7 +15,7 @@ from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.capture.nouns import Capture, Cloud, PhotoVerdict
 from capture2vr.edge.capture_to_points import to_points
 from capture2vr.edge.errors import CaptureError
-from capture2vr.edge.marking.isolate_marked import find_mark, with_marked_photo
+from capture2vr.edge.marking.isolate_marked import what_to_keep, with_marked_photo
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.photos.to_depth import to_depth
 from capture2vr.edge.points.nouns import Points
@@ -126,6 +126,6 @@ def test_a_marked_photo_that_was_not_used_is_named_with_its_advice() -> None:
     verdict = PhotoVerdict("b.jpg", "blur", "Hold the phone still.")
     unused = Capture("rgbd", "photos", verdicts=(PhotoVerdict("a.jpg", "ok"), verdict))
     with pytest.raises(CaptureError, match=r"b\.jpg: could not be used") as caught:
-        find_mark(unused, PhotoBox(0.1, 0.1, 0.9, 0.9, "b.jpg"))
+        what_to_keep(unused, "auto", PhotoBox(0.1, 0.1, 0.9, 0.9, "b.jpg"))
     assert caught.value.code == "BOX_PHOTO_UNUSED"
     assert "Hold the phone still." in caught.value.hints
