@@ -28,6 +28,12 @@ _LOWEST, _REACHES = 10.0, 0.05
 _MOST_SUPPORT = 0.45
 """Share of the surface up to which a part that rests on the plane is taken: of a façade whose back nobody saw, more
 would be made up than is known. Fruit that was photographed from above has .3."""
+_DOWN, _FACES = -0.3, 0.1
+"""Cosines to the plane's normal, and to a camera, up to which a place faces down, and from which on it faces the
+camera."""
+_MOST_BACK = 0.1
+"""Share of the surface up to which such a part may face neither down nor any camera: it is a back that nobody went
+around to. A toy that was photographed from the front has .18, whatever was photographed from all around 0."""
 _CONTINUES, _AROUND = 0.5, 3
 """Least mean cosine between a part's normal and those of the surface around it, in so many rings of triangles, for a
 hole in a surface: over the end of a tube it is 0."""
@@ -64,9 +70,11 @@ class LooseParts:
         _, number[loose] = np.unique(label[corners[:, 0]], return_inverse=True)
         return cls(mesh, face_normals(mesh.vertices, mesh.faces) / 2, number, int(number.max(initial=-1)) + 1)
 
-    def missing(self, support: Plane | None, cell: float, spacing: float, fill: Fill) -> tuple[Bools, bool]:
+    def missing(
+        self, support: Plane | None, eyes: Floats, cell: float, spacing: float, fill: Fill
+    ) -> tuple[Bools, bool]:
         """Return a mask (F,) of the faces of the parts that are missing surface, and whether the thing is closed with
-        them: whether no other part is large enough to be a true opening."""
+        them: whether no other part is large enough to be a true opening. eyes (M,3): where the cameras were."""
         if not self.count:
             return np.zeros(len(self.number), bool), True
         areas = np.linalg.norm(self.normals, axis=1)
@@ -76,6 +84,7 @@ class LooseParts:
         around[self.number >= 0] = -1
         bend = self._bend(around)
         stands = self._rests(support, around, bend, cell) & (share <= _MOST_SUPPORT)
+        stands[stands] = (self._back(support, eyes, areas) <= _MOST_BACK)[stands]
         continues = (bend >= _CONTINUES) & (share <= _MOST_HOLE)
         closed = float(share[~stands & ~continues].sum()) < _OPEN
         taken = area >= _LEAST * spacing**2
@@ -97,6 +106,17 @@ class LooseParts:
             ring = height[around == part]
             rests[part] = bend[part] > _UNDER or (len(ring) > 0 and np.percentile(ring, _LOWEST) < _REACHES)
         return rests
+
+    def _back(self, support: Plane | None, eyes: Floats, areas: Floats) -> Floats:
+        """Share (P,) of the surface in each part that faces neither down nor any camera."""
+        up = np.zeros(3) if support is None else support.normal
+        back = self.normals @ up > _DOWN * areas
+        middle = self.mesh.vertices[self.mesh.faces].mean(axis=1)
+        for eye in eyes:
+            towards = eye - middle
+            facing = np.einsum("fx,fx->f", towards, self.normals)
+            back &= facing < _FACES * areas * np.linalg.norm(towards, axis=1)
+        return self._sum(np.where(back, self.number, -1), areas) / max(float(areas.sum()), 1e-300)
 
     def _bend(self, around: Ints) -> Floats:
         """Mean cosine (P,) between the normals of the surface around each part, which the numbers (F,) tell, and that

@@ -103,7 +103,7 @@ def infer_missing(
     if not _lie_on(xyz, solid, spacing):
         return nothing
     parts = LooseParts.without_points(solid, tree, local)
-    chosen, closed = parts.missing(support, cell, spacing, fill)
+    chosen, closed = parts.missing(support, np.array([each.eye for each in pictures]), cell, spacing, fill)
     if not chosen.any():
         return replace(nothing, closed=closed)
     fringe = beside | _fringe(solid, chosen, xyz, spacing)

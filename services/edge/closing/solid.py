@@ -131,7 +131,7 @@ def fit_solid(
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
     vertices, faces, _, _ = marching_cubes(solved.phi, 0.0)  # type: ignore[no-untyped-call]
     placed = np.asarray(vertices, np.float64) * solved.grid.side + solved.grid.low
-    return Mesh(placed, np.asarray(faces, np.int64)[:, ::-1])
+    return Mesh(placed, np.asarray(faces, np.int64))
 
 
 def _solve(

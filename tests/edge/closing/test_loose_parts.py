@@ -13,6 +13,8 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.points.plane import Plane
 
 CELL, SPACING = 1 / 64, 0.01
+AROUND = np.array([[2.0, 0, 1], [-1, 1.8, 1], [-1, -1.8, 1]])
+"""Places of cameras."""
 
 
 def parts(shape: trimesh.Trimesh, missing: Bools) -> LooseParts:
@@ -40,7 +42,7 @@ def cylinder(top: float, bottom: float) -> trimesh.Trimesh:
 
 def test_a_surface_with_points_everywhere_lacks_nothing_and_is_closed() -> None:
     whole = parts(ball(), np.zeros(len(ball().faces), bool))
-    faces, closed = whole.missing(floor(-0.4), CELL, SPACING, "unseen")
+    faces, closed = whole.missing(floor(-0.4), AROUND, CELL, SPACING, "unseen")
     assert not faces.any()
     assert closed
 
@@ -49,10 +51,10 @@ def test_an_underside_is_missing_where_it_rests_on_the_floor_and_else_an_opening
     middle = ball().triangles_center
     below = middle[:, 2] < -0.1
     for height, taken in ((-0.4, True), (-0.44, True), (-0.9, False)):
-        faces, closed = parts(ball(), below).missing(floor(height), CELL, SPACING, "unseen")
+        faces, closed = parts(ball(), below).missing(floor(height), AROUND, CELL, SPACING, "unseen")
         assert closed == taken
         assert (faces.sum() > 0.5 * below.sum()) == taken
-    assert parts(ball(), below).missing(None, CELL, SPACING, "all")[0].any()
+    assert parts(ball(), below).missing(None, AROUND, CELL, SPACING, "all")[0].any()
 
 
 @pytest.mark.parametrize(("top", "bottom", "gap", "taken"), [(0.1, 0.4, 0.15, False), (0.3, 0.3, 0.0, True)])
@@ -65,6 +67,14 @@ def test_the_hem_of_a_skirt_stays_open_and_the_underside_of_a_box_does_not(
     inner = (z < -0.399) & (np.hypot(x, y) < 0.99 * bottom)
     shape.vertices[inner, 2] -= gap * (1 - (np.hypot(x, y)[inner] / bottom) ** 4)
     below = shape.triangles_center[:, 2] < -0.4 + 1e-6
-    faces, closed = parts(shape, below).missing(floor(-0.4 - gap), CELL, SPACING, "unseen")
+    faces, closed = parts(shape, below).missing(floor(-0.4 - gap), AROUND, CELL, SPACING, "unseen")
     assert closed == taken
     assert faces.any() == taken
+
+
+def test_a_back_that_nobody_went_around_to_is_not_made_up() -> None:
+    """Its sides come down to the floor, as those of an underside do."""
+    x, _, z = ball().triangles_center.T
+    for eyes, taken in ((AROUND, True), (AROUND[:1], False)):
+        faces, closed = parts(ball(), (x < -0.2) | (z < -0.25)).missing(floor(-0.4), eyes, CELL, SPACING, "unseen")
+        assert faces.any() == closed == taken
