@@ -43,7 +43,7 @@ def test_a_faultless_surface_is_good_and_says_no_more() -> None:
     ("worse", "told"),
     [
         ({"lace": (0.03, 0.1, 0.4)}, "holes"),
-        ({"depth": (0.8, 0.55, 0.4)}, "depth"),
+        ({"depth": (0.8, 0.62, 0.55)}, "depth"),
         ({"cover": (0.85, 0.7, 0.4)}, "is there"),
     ],
 )
