@@ -28,8 +28,6 @@ _SURE = 6.0
 """Twice the logarithm of the likelihood ratio, background to object, from which on a pixel is background: 20 : 1."""
 _OTHER = 12.0
 """Squared distance, in variances of the background's colours, from which on a pixel does not show the background."""
-_ROUNDS = 3
-"""Most rounds: what is removed in one is background in the next."""
 _OPEN = 0.01
 """Least share of the picture of a region without depth that is background; smaller ones are untextured patches on the
 object."""
@@ -40,27 +38,18 @@ def remove_rim(depth: Floats, rgb: Bytes) -> Floats:
 
     A surface that is too thin for a core, such as a stem, is known by the colours there that the background lacks.
     """
-    colour = rgb.astype(np.float32)
-    for _ in range(_ROUNDS):
-        rim = _rim(depth, colour)
-        if not rim.any():
-            break
-        depth = np.where(rim, np.float32(0), depth)
-    return depth
-
-
-def _rim(depth: Floats, colour: Floats) -> Bools:
-    """Find the pixels (H,W) at outlines that have the background's colour (H,W,3)."""
     import cv2
 
     near = _nearest_around(np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0))
     thing = (depth > 0) & (depth * near < 1 + _STEP)
     core = cv2.erode(thing.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8), borderValue=1) > 0
+    colour = rgb.astype(np.float32)
     beyond = _Colours.of(colour, ~thing & _large_regions(~thing))
-    alike = beyond.known & (beyond.distance < _OTHER)
     thin = thing & beyond.known & (_sum_around(core.astype(np.float32)) < _FEWEST)
+    alike = beyond.distance < _OTHER
     inside = _Colours.of(colour, core | (thin & ~alike))
-    return thing & ~core & alike & inside.known & (inside.unlikeness > beyond.unlikeness + _SURE)
+    rim = thing & ~core & inside.known & beyond.known & (inside.unlikeness > beyond.unlikeness + _SURE)
+    return np.where(rim & (alike | ~thin), np.float32(0), depth)
 
 
 def _nearest_around(inverse: Floats) -> Floats:
