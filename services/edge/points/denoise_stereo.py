@@ -19,7 +19,7 @@ _WIDER = 1.05
 """Radius of the weight over the farthest neighbour's distance, so that this neighbour keeps a tenth of the weight."""
 _FLAT = 0.35
 """Most variance across a plane, of that along its shorter side, for neighbours that lie on a surface: a stem's have no
-plane. Half of a stem's have over .4, 4 % of a dress's more than this; with .15, which 23 % have, its hem was in teeth."""
+plane. Half of a stem's have over .4, 4 % of a dress's more than this; with .15 (23 %) its hem was in teeth."""
 _CHUNK = 4_096
 """Points per task of a thread."""
 
