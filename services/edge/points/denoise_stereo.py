@@ -17,9 +17,6 @@ NEIGHBOURS = (48, 32)
 are 1 % more accurate and take twice the time."""
 _WIDER = 1.05
 """Radius of the weight over the farthest neighbour's distance, so that this neighbour keeps a tenth of the weight."""
-_FLAT = 0.35
-"""Most variance across a plane, of that along its shorter side, for neighbours that lie on a surface: a stem's have no
-plane. Half of a stem's have over .4, 4 % of a dress's more than this; with .15 (23 %) its hem was in teeth."""
 _CHUNK = 4_096
 """Points per task of a thread."""
 
@@ -55,9 +52,8 @@ def _onto_planes(xyz: Floats, weight: Floats, neighbours: int, tick: Tick) -> Fl
         mean = np.einsum("nk,nkx->nx", near, relative)
         centred = relative - mean[:, None]
         covariance = np.matmul((centred * near[..., None]).transpose(0, 2, 1), centred)
-        extent, axes = np.linalg.eigh(covariance)
-        normal, flat = axes[:, :, 0], extent[:, 0] < _FLAT * extent[:, 1]
-        moved[part] += (flat * np.einsum("nx,nx->n", mean, normal))[:, None] * normal
+        normal = np.linalg.eigh(covariance)[1][:, :, 0]
+        moved[part] += np.einsum("nx,nx->n", mean, normal)[:, None] * normal
 
     in_threads(work, slices(len(xyz), _CHUNK), tick)
     return moved

@@ -33,15 +33,6 @@ def test_a_curved_surface_keeps_its_place() -> None:
     assert moved.max() < 0.03
 
 
-def test_a_stem_keeps_its_place_and_its_thickness() -> None:
-    """Its cross-section is as wide as it is deep: a plane through its points has no direction that means anything."""
-    along, around = np.random.default_rng(0).random((2, 4_000)) * [[1.0], [2 * np.pi]]
-    middle = np.stack([along, 0.2 * along**2, np.zeros(len(along))], axis=1)
-    stem = middle + 0.003 * np.stack([np.zeros(len(along)), np.cos(around), np.sin(around)], axis=1)
-    moved = np.linalg.norm(smooth_stereo_points(stem, np.ones(len(stem))) - stem, axis=1)
-    assert np.percentile(moved, 75) < 0.0003
-
-
 def test_points_of_little_weight_are_drawn_to_the_others() -> None:
     sheet = rippled(4_000) * [1, 1, 0]
     stray = np.random.default_rng(1).random((400, 3)) * [1, 1, 0.02]
