@@ -18,7 +18,7 @@ def notes_of_next_version(
     """Return an asset's notes for its next version: carried into its frame where both are of one capture's."""
     before, after = present.document.get("capture_to_asset"), document.get("capture_to_asset")
     record = document["versions"][-1]
-    same = record["job"] and record["job"] == _current(present)["job"]
+    same = record["job"] and record["job"] == present.record.get("job")
     if not before or not after or not (same or _capture_of(bundle.manifest) == _capture_in(store, present) != ""):
         return [each.as_json for each in present.notes]
     version = int(document["version"])
@@ -26,11 +26,6 @@ def notes_of_next_version(
         (carry(each, before, after, version) if each.frame == present.version else each).as_json
         for each in present.notes
     ]
-
-
-def _current(present: Entry) -> dict[str, Any]:
-    """Return the record of the current version, which is not the newest where that is held back."""
-    return next(each for each in present.versions if each["version"] == present.version)
 
 
 def _capture_in(store: Store, present: Entry) -> str:

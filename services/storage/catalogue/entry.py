@@ -70,9 +70,14 @@ class Entry:
         return str(self.document.get("grade") or "")
 
     @property
+    def record(self) -> dict[str, Any]:
+        """What the list of versions has of the current one, which is not the newest where that is held back."""
+        return next((each for each in self.versions if each["version"] == self.version), {})
+
+    @property
     def held(self) -> bool:
         """Whether the current version is held back, so that no list has the asset; one without any other is."""
-        return any(bool(each.get("held")) for each in self.versions if each["version"] == self.version)
+        return bool(self.record.get("held"))
 
     @property
     def visibility(self) -> Visibility | None:
