@@ -26,6 +26,7 @@ from capture2vr.storage.settings import StorageSettings
 from tests.conftest import missing
 from tests.support.clouds import write_ply
 from tests.support.patience import HANG_S
+from tests.support.photos.walkaround import render_walkaround
 from tests.support.repository import ROOT
 
 PAGES = ("README.md", *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md"))), "deploy/runbook.md")
@@ -100,7 +101,7 @@ def without_a_server() -> list[Command]:
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder to type the examples in, with a scan.ply and a photo.jpg, as a home of its own.
+    """A folder to type the examples in, with a scan.ply, a photo.jpg and photos/, as a home of its own.
 
     The scan is of a rod, which takes half the seconds of a ball: it covers a sixth of each picture.
     """
@@ -112,6 +113,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rgb = np.full((240, 320, 3), 215, np.uint8)
     rgb[60:200, 100:220] = (30, 60, 170)
     Image.fromarray(rgb).save(folder / "photo.jpg")
+    for number, photo in enumerate(render_walkaround(folder / "photos", views=16, size=(480, 360)).photos):
+        photo.rename(photo.with_name(f"IMG_{4190 + number}.JPG"))
     return folder
 
 

@@ -118,7 +118,7 @@ def test_a_rectangle_is_pushed_with_its_photo(url: str, disk: Path, tmp_path: Pa
     assert blue > red + 50
     refused = capture2vr("push", disk, "--key", "leaf-box", *asked)
     assert refused.returncode == 2
-    assert "single photo" in refused.stderr
+    assert "the capture has no photo (ply)" in refused.stderr
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,10 @@
-"""All modules of a page are named in the page itself, and none that comes later."""
+"""All modules of a page are named in the page itself, and none that comes later; an id names one element."""
 
 from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -91,3 +92,10 @@ def test_each_page_names_the_modules_of_its_script(page: Path) -> None:
     for module in named - set((WEB / "vendor").iterdir()):
         for source in _SOURCE.findall(module.read_text()):
             assert (module.parent / source).resolve() in named, f"{module.name} imports {source}"
+
+
+@pytest.mark.parametrize("page", _PAGES, ids=[page.stem for page in _PAGES])
+def test_an_id_of_a_page_names_one_element(page: Path) -> None:
+    """A script finds the first of two elements of one id, and says there what belongs to the other one."""
+    ids = Counter(re.findall(r'\sid="([^"]+)"', page.read_text()))
+    assert [name for name, count in ids.items() if count > 1] == []

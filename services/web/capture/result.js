@@ -47,7 +47,7 @@ const page = {
   held: element('held', HTMLElement),
   heldBack: element('held-back', HTMLElement),
   keep: element('keep', HTMLButtonElement),
-  notKept: element('not-kept', HTMLElement),
+  keepRefused: element('keep-refused', HTMLElement),
   opened: element('opened', HTMLElement),
   view: element('view', HTMLAnchorElement),
   link: element('link', HTMLElement),
@@ -119,7 +119,7 @@ async function showHeld({ asset_key: key, state }, { version, held }) {
     .filter(Boolean)
     .join(' ');
   page.keep.hidden = !manages;
-  keep = () => attempt(page.notKept, () => keepVersion(key, version), page.keep);
+  keep = () => attempt(page.keepRefused, () => keepVersion(key, version), page.keep);
 }
 
 /**

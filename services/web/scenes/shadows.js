@@ -19,16 +19,19 @@ import { ContactShadow } from '../graphics/contact-shadow.js';
 export class Shadows {
   #root;
   #prepare;
+  #redraw;
   /** @type {Map<LoadedItem, Cast>} */
   #casts = new Map();
 
   /**
    * @param {THREE.Object3D} root whose floor they lie on
    * @param {(shadow: THREE.Object3D) => Promise<void>} prepare makes what the graphics card needs
+   * @param {() => void} redraw called when a shadow is ready: on a slow machine no frame may be due any more
    */
-  constructor(root, prepare) {
+  constructor(root, prepare, redraw) {
     this.#root = root;
     this.#prepare = prepare;
+    this.#redraw = redraw;
   }
 
   /**
@@ -109,6 +112,7 @@ export class Shadows {
     this.#prepare(cast.shadow.object).then(async () => {
       await this.#workOutFirst(item, cast);
       cast.isReady = true;
+      this.#redraw();
     });
     return cast;
   }

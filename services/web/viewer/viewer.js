@@ -92,7 +92,11 @@ const grabber = new Grabber(letGo);
 const live = new LiveMoves({ isHeld, onChange: reportPlaces });
 const planes = new RoomPlanes(renderer);
 const ground = new THREE.Mesh(new THREE.PlaneGeometry(GROUND_M, GROUND_M).rotateX(-Math.PI / 2)); // of the wearer's room, which nothing draws
-const shadows = new Shadows(root, (shadow) => prepare(stage, shadow).then(redraw));
+const shadows = new Shadows(
+  root,
+  (shadow) => prepare(stage, shadow),
+  () => redraw(),
+);
 const walker = new Walker(renderer, scene, root, {
   surfaces: walkSurfaces,
   onMove: () => reportPlace(root.position.toArray()),

@@ -264,7 +264,7 @@ async def test_a_rectangle_with_another_capture_is_an_error_that_says_why(client
     inspected = (await client.stub.Inspect(upload(sent, box=box))).failure
     failed = (await client.ended(sent, box=box))[-1].failure
     assert inspected.code == failed.code == "BOX_NOT_APPLICABLE"
-    assert "single photo" in failed.message
+    assert "the capture has no photo (ply)" in failed.message
     assert failed.hints
 
 

@@ -268,11 +268,11 @@ def test_a_failure_behind_the_preview_leaves_it_on_show(page: Page, stack: Stack
 
 def test_a_bad_capture_is_told_first_and_published_on_a_tap(page: Page, site: Site) -> None:
     """A job that is done, as the gateway tells it."""
-    publish(box("A vase", GREEN), site.store, key="vase")
-    held = publish(box("A vase", RED, **graded("shoot again")), site.store, key="vase", job="job_1")
+    publish(box("An urn", GREEN), site.store, key="urn")
+    held = publish(box("An urn", RED, **graded("shoot again")), site.store, key="urn", job="job_1")
     asset = {"version": held.version, "state": "refined", "held": True, **graded("shoot again")["quality"]}
     warning = "Shoot it again: the surface is in shreds. Make it matt."
-    job = {"id": "job_1", "state": "SUCCEEDED", "asset_key": "vase", "label": "A vase", "preview": None, "asset": asset}
+    job = {"id": "job_1", "state": "SUCCEEDED", "asset_key": "urn", "label": "An urn", "preview": None, "asset": asset}
     job |= {"warnings": [warning, "Its scale is a guess."], "capture": "cap_1", "links": {"again": "/"}}
     page.route("**/v1/jobs/job_1", lambda route: route.fulfill(json=job))
     page.goto(f"{site.url}/#job=job_1")
@@ -282,12 +282,12 @@ def test_a_bad_capture_is_told_first_and_published_on_a_tap(page: Page, site: Si
     expect(page.locator("#warnings li")).to_have_text(["Its scale is a guess."])
     expect(page.locator("#held-back")).to_have_text("It is held back: version 1 goes on being shown.")
     expect(page.get_by_role("link", name="View")).to_be_hidden()
-    assert read_entry(site.store, "vase").version == 1
+    assert read_entry(site.store, "urn").version == 1
     page.get_by_role("button", name="Keep it anyway").click()
     expect(page.locator("#held-back")).to_have_text("It is kept: it is published now.")
     expect(page.get_by_role("link", name="View")).to_be_visible()
     expect(page.get_by_role("button", name="Keep it anyway")).to_be_hidden()
-    entry = read_entry(site.store, "vase")
+    entry = read_entry(site.store, "urn")
     assert (entry.version, entry.manifest, entry.held) == (3, held.manifest, False)
     page.reload()
     await_data(page, preview=str(held.version))

@@ -26,6 +26,8 @@ pytestmark = pytest.mark.browser
 SIZE = (0.4, 0.4, 0.4)
 PICTURES = [(230, 225, 215), (128, 96, 64), (40, 60, 90)]
 """Colours of photos: nearly white, a brown, a dark blue."""
+_LONG_PAUSES = "const timer = setTimeout; window.setTimeout = (run, ms, ...more) => timer(run, ms || 300, ...more);"
+"""A machine on which what comes between two frames takes long."""
 
 
 def pixels(png: bytes) -> Bytes:
@@ -109,6 +111,15 @@ def test_it_throws_a_shadow_where_it_stands_and_less_when_lifted(page: Page, sit
     for _ in range(4):
         page.keyboard.press("PageUp")
     assert darkest_grey(page) < standing / 2
+
+
+def test_a_shadow_that_takes_long_is_drawn_as_soon_as_it_is_ready(page: Page, site: Site) -> None:
+    """Nothing else asks for a frame by then: nobody touches the page."""
+    publish(box("Red box", RED), site.store, key="slow")
+    page.add_init_script(_LONG_PAUSES)
+    page.goto(f"{site.url}/view/slow")
+    await_data(page, loaded="2 1 0", geometries="4")
+    assert darkest_grey(page) > 20
 
 
 def darkest_grey(page: Page) -> int:
