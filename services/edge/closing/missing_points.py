@@ -29,6 +29,7 @@ from capture2vr.edge.closing.oriented_points import orient_points
 from capture2vr.edge.closing.sample_parts import sample_parts
 from capture2vr.edge.closing.solid import fit_solid
 from capture2vr.edge.mesh.distance import distance_to_mesh
+from capture2vr.edge.mesh.normals import vertex_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.spacing import point_spacing
 from capture2vr.edge.points.plane import Plane
@@ -99,7 +100,7 @@ def infer_missing(
     cell = 1 / _CELLS[-1]
     local = point_spacing(xyz, tree)
     spacing = float(np.median(local))
-    solid = lay_on_points(solid, kept.xyz, cKDTree(kept.xyz), spacing, cell)
+    solid = lay_on_points(solid, kept, spacing, cell)
     if not _lie_on(xyz, solid, spacing):
         return nothing
     parts = LooseParts.without_points(solid, tree, local)
@@ -107,6 +108,8 @@ def infer_missing(
     if not chosen.any():
         return replace(nothing, closed=closed)
     fringe = beside | _fringe(solid, chosen, xyz, spacing)
+    if closed:
+        fringe |= _inside(solid, xyz, spacing)
     tree = cKDTree(xyz[~fringe])
     places, light = sample_parts(solid, chosen, tree, spacing, pick(rgb, ~fringe))
     tick(1.0)
@@ -125,3 +128,10 @@ def _fringe(mesh: Mesh, chosen: Bools, xyz: Floats, spacing: float) -> Bools:
     fringe: Bools = np.isfinite(centres.query(xyz, distance_upper_bound=_FRINGE_NEAR * spacing, workers=-1)[0])
     fringe[fringe] = distance_to_mesh(xyz[fringe], mesh) > _FRINGE_OFF * spacing
     return fringe
+
+
+def _inside(mesh: Mesh, xyz: Floats, spacing: float) -> Bools:
+    """Find the points (N,) that lie below a closed mesh, where nobody can have seen any."""
+    near = cKDTree(mesh.vertices).query(xyz, workers=-1)[1]
+    inside: Bools = np.einsum("nx,nx->n", xyz - mesh.vertices[near], vertex_normals(mesh)[near]) < -_LIES_ON * spacing
+    return inside

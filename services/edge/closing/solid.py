@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_erosion, map_coordinates
+from scipy.ndimage import binary_erosion, binary_fill_holes, map_coordinates
 from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron, vstack
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
@@ -129,7 +129,8 @@ def fit_solid(
         tick((number + 1) / len(cells))
     if solved is None or solved.phi.min() >= 0:  # sheets, both sides of which are free
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
-    vertices, faces, _, _ = marching_cubes(solved.phi, 0.0)  # type: ignore[no-untyped-call]
+    cavities = binary_fill_holes(solved.phi < 0) & (solved.phi >= 0)  # nobody can have seen any
+    vertices, faces, _, _ = marching_cubes(np.where(cavities, -_OUTSIDE, solved.phi), 0.0)  # type: ignore[no-untyped-call]
     placed = np.asarray(vertices, np.float64) * solved.grid.side + solved.grid.low
     return Mesh(placed, np.asarray(faces, np.int64))
 

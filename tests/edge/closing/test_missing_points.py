@@ -28,10 +28,16 @@ def mesh_of(shape: trimesh.Trimesh) -> Mesh:
     return Mesh(np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64))
 
 
-def seen(thing: trimesh.Trimesh, height: float, hole: Callable[[Floats], Bools] | None = None) -> MissingPoints:
+NONE = np.empty((0, 3))
+
+
+def seen(
+    thing: trimesh.Trimesh, height: float, hole: Callable[[Floats], Bools] | None = None, false: Floats = NONE
+) -> MissingPoints:
     """What is inferred of a thing that is photographed from all sides, its lowest place so high over a table.
 
-    hole  places (N,3) of it, less its height, that give no depth
+    hole   places (N,3) of it, less its height, that give no depth
+    false  (M,3) points where it has no surface; they come last
     """
     thing = thing.copy()
     middle = float(thing.bounds[:, 2].mean())
@@ -44,6 +50,7 @@ def seen(thing: trimesh.Trimesh, height: float, hole: Callable[[Floats], Bools] 
     if hole is not None:
         points = points[~hole(points)]
     points = points[np.unique(np.floor(points / 0.012).astype(int), axis=0, return_index=True)[1]]
+    points = np.concatenate([points, false])
     rgb = np.clip(print_on(points), 0, 255).astype(np.uint8)
     return infer_missing(points, rgb, photos, Plane(np.array([0.0, 0, 1]), low - height, 0.0, 0.5), "unseen")
 
@@ -99,6 +106,17 @@ def test_a_hole_in_a_surface_is_closed_in_the_surrounding_colours() -> None:
     assert missing.rgb is not None
     red, green, blue = missing.rgb[inside].astype(float).mean(axis=0)
     assert red > green > blue, "the print's order"
+
+
+@pytest.mark.slow
+def test_false_points_inside_a_closed_thing_are_dropped() -> None:
+    """Depth that was matched wrongly: a bubble of it, and a few places alone."""
+    bubble = trimesh.creation.icosphere(2, 0.06).apply_translation([0.1, 0, -0.1]).vertices
+    false = np.concatenate([bubble, [[0, 0, -0.2], [-0.15, 0.1, 0], [0, -0.2, -0.05]]])
+    missing = seen(ball(), 0.0, false=false)
+    assert missing.closed
+    assert missing.fringe[-len(false) :].all()
+    assert missing.fringe[: -len(false)].mean() < 0.05
 
 
 @pytest.mark.slow
