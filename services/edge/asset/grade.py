@@ -57,26 +57,42 @@ def grade_asset(certificate: Certificate, check: PhotoCheck, filled: float) -> G
     checks = check.surface or check.own
     if not checks:
         return None
-    level, because, advice = max(_faults(certificate, checks, filled, check.scene), key=lambda each: each[0])
-    return Grade(_LEVELS[level], because if level else "", say(advice) if level else "")
+    faults = list(_faults(certificate, checks, filled, check.scene))
+    worst = max(faults, key=lambda each: each.level)
+    level = worst.level
+    if level == 1 and len({each.kind for each in faults if each.level}) > 1:
+        level = 2  # of eleven photos of fruit half was made up, and the rest had wrong depth: a rag, but neither saw it
+    return Grade(_LEVELS[level], worst.because if level else "", say(worst.advice) if level else "")
 
 
-def _faults(
-    certificate: Certificate, checks: Sequence[SurfaceCheck], filled: float, scene: bool
-) -> Iterator[tuple[int, str, str]]:
-    """Yield how bad each figure is, 0 to 3, with the cause as a sentence and the code of the advice."""
+@dataclass(frozen=True, slots=True)
+class _Fault:
+    """How bad a figure is, 0 to 3; kind: figures of one kind see the same; because: a sentence; advice: its code."""
+
+    level: int
+    kind: Literal["holes", "depth", "made up"]
+    because: str
+    advice: str
+
+
+def _faults(certificate: Certificate, checks: Sequence[SurfaceCheck], filled: float, scene: bool) -> Iterator[_Fault]:
+    """Yield how bad each figure is."""
     worst = worst_photo(checks)
     lace, photo = worst.figures.lace, worst.picture.name
-    yield _above(lace, _LACE), say("holes_where_photo_shows_object", share=lace, photo=photo), "again_near"
+    yield _Fault(
+        _above(lace, _LACE), "holes", say("holes_where_photo_shows_object", share=lace, photo=photo), "again_near"
+    )
     # A sensor's depth has noise of its own, which says nothing about the surface.
     matched = mean_figures([each for each in checks if not each.picture.tracked])
     depth = 1.0 if matched is None or matched.depth is None else matched.depth
-    yield _above(-depth, tuple(-each for each in _DEPTH)), say("depth_of_photos_disagrees", share=depth), "again_matt"
+    met = _above(-depth, tuple(-each for each in _DEPTH))
+    yield _Fault(met, "depth", say("depth_of_photos_disagrees", share=depth), "again_matt")
     cover = sum(each.figures.cover for each in checks) / len(checks)
-    yield _above(-cover, tuple(-each for each in _COVER)), say("object_not_covered", share=cover), "again_around"
+    covered = _above(-cover, tuple(-each for each in _COVER))
+    yield _Fault(covered, "holes", say("object_not_covered", share=cover), "again_around")
     ragged = 0.0 if scene else certificate.border_over_root
-    yield _above(ragged, _RAGGED), say("surface_is_ragged", border=ragged), "again_matt"
-    yield _above(filled, _MADE_UP), say("much_was_filled_in", share=filled), "again_around"
+    yield _Fault(_above(ragged, _RAGGED), "holes", say("surface_is_ragged", border=ragged), "again_matt")
+    yield _Fault(_above(filled, _MADE_UP), "made up", say("much_was_filled_in", share=filled), "again_around")
 
 
 def _above(value: float, limits: tuple[float, ...]) -> int:

@@ -63,6 +63,14 @@ def test_shreds_and_what_was_made_up_count_too() -> None:
     assert graded(photo(), filled=0.8).level == "shoot again"
 
 
+def test_two_weak_figures_of_different_kinds_are_worse_than_either() -> None:
+    made_up, vague, torn = {"filled": 0.58}, photo(depth=0.71), photo(lace=0.03)
+    assert [graded(photo(), **made_up).level, graded(vague).level, graded(torn).level] == ["usable"] * 3
+    assert graded(vague, **made_up).level == "incomplete"
+    assert graded(torn, border=9.0).level == "usable", "holes have borders: that is one fault"
+    assert graded(photo(depth=0.62), **made_up).level == "incomplete"
+
+
 def test_a_sensors_own_noise_is_no_fault_of_the_surface() -> None:
     stereo = photo(depth=0.4)
     sensor = replace(stereo, picture=replace(stereo.picture, tracked=True))
