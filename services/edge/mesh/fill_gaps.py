@@ -89,7 +89,7 @@ class FilledMesh:
 def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, *, closed: bool = False, tick: Tick = no_tick) -> FilledMesh:
     """Fill the holes of a mesh without colours that are missing surface.
 
-    closed  whether the surface is known to have no true openings
+    closed  whether the surface is known to have no true openings: "all" then fills every hole
 
     The mesh must be manifold, its border vertices with two border edges each, its faces oriented alike around a hole.
     """
@@ -100,7 +100,8 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, *, closed: bool = False, tick: T
     index = _EdgeIndex(border, len(mesh.vertices))
     normals = _unit_normals(mesh.vertices, mesh.faces[edges.halves(1)[:, 0] // 3])
     chords = edges_between(mesh.faces, border)
-    least = _LIES_BACK if closed or fill == "all" else _CONTINUES
+    every = closed and fill == "all"
+    least = -np.inf if every else _LIES_BACK if closed or fill == "all" else _CONTINUES
     patches = []
     loops = _loops_within_budget(border_loops(mesh.faces, border))
     for number, loop in enumerate(loops):
@@ -108,7 +109,7 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, *, closed: bool = False, tick: T
         if len(faces) and _bend(mesh.vertices, faces, loop, index, normals) >= least:
             patches.append(faces)
         tick(0.6 * (number + 1) / len(loops))
-    patches = _not_free(mesh.vertices, patches, ask)
+    patches = patches if every else _not_free(mesh.vertices, patches, ask)
     tick(0.8)
     if not patches:
         return FilledMesh.unfilled(mesh)

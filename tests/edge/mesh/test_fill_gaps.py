@@ -109,6 +109,17 @@ def test_the_ends_of_a_sleeve_stay_open_unless_all_is_asked_for() -> None:
         assert len(border_edges(made.mesh.faces)) == 0
 
 
+def test_all_holes_of_a_thing_without_openings_are_filled_where_all_is_asked_for() -> None:
+    """Photos seem to see through one, and the patch of another lies back on a tuft around it."""
+    mesh = ball_with_hole(20.0, np.array([0.0, 0, 1]))
+    assert not fill_gaps(mesh, "unseen", all_see_through, closed=True).filled.any()
+    assert not fill_gaps(mesh, "all", all_see_through).filled.any()
+    assert len(border_edges(fill_gaps(mesh, "all", all_see_through, closed=True).mesh.faces)) == 0
+    cap = ball_with_hole(150.0, np.array([0.0, 0, 1]))  # of a sheet the patch lies back on the sheet
+    assert not fill_gaps(cap, "all", nobody_sees_through).filled.any()
+    assert len(border_edges(fill_gaps(cap, "all", nobody_sees_through, closed=True).mesh.faces)) == 0
+
+
 def test_faces_of_inferred_points_are_marked() -> None:
     mesh = mesh_of(trimesh.creation.icosphere(3))
     below = mesh.vertices[:, 2] < -0.5
