@@ -101,12 +101,12 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, *, closed: bool = False, tick: T
     normals = _unit_normals(mesh.vertices, mesh.faces[edges.halves(1)[:, 0] // 3])
     chords = edges_between(mesh.faces, border)
     every = closed and fill == "all"
-    least = -np.inf if every else _LIES_BACK if closed or fill == "all" else _CONTINUES
+    least = _LIES_BACK if closed or fill == "all" else _CONTINUES
     patches = []
     loops = _loops_within_budget(border_loops(mesh.faces, border))
     for number, loop in enumerate(loops):
         faces = triangulate_loop(mesh.vertices[loop], loop, chords)
-        if len(faces) and _bend(mesh.vertices, faces, loop, index, normals) >= least:
+        if len(faces) and (every or _bend(mesh.vertices, faces, loop, index, normals) >= least):
             patches.append(faces)
         tick(0.6 * (number + 1) / len(loops))
     patches = patches if every else _not_free(mesh.vertices, patches, ask)

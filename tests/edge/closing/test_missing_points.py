@@ -22,13 +22,11 @@ from tests.support.photos.posed_pictures import photographs, print_on
 RADIUS = 0.4
 TABLE = np.array([[-3.0, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]])
 AROUND = [(1.6 * np.cos(turn), 1.6 * np.sin(turn), 1.1) for turn in np.radians(np.arange(0, 360, 30))]
+NONE = np.empty((0, 3))
 
 
 def mesh_of(shape: trimesh.Trimesh) -> Mesh:
     return Mesh(np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64))
-
-
-NONE = np.empty((0, 3))
 
 
 def seen(
