@@ -178,6 +178,7 @@ def test_an_occluder_hides_what_is_near_it_and_nothing_else() -> None:
     assert "occluders" not in whole.scan, "what was measured before stays valid"
 
 
+@pytest.mark.usefixtures("data_dir")
 @pytest.mark.parametrize("row", DEFORMED, ids=lambda row: row.name)
 def test_a_deformed_garment_keeps_its_faces_and_its_frame(row: Row) -> None:
     mesh = row.truth()

@@ -151,6 +151,7 @@ def test_every_row_has_every_method_at_its_published_steps() -> None:
     assert len(named) == len(list(cells()))
 
 
+@pytest.mark.usefixtures("data_dir")
 @pytest.mark.parametrize("row", [published.DRESS, published.TRUCK], ids=lambda row: row.name)
 def test_the_areas_of_the_objects_are_those_of_their_meshes(row: Row) -> None:
     assert area(row.truth()) == pytest.approx(published.AREA_M2[row.name], rel=1e-4)

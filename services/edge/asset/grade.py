@@ -21,6 +21,9 @@ Level = Literal["good", "usable", "incomplete", "shoot again"]
 _DEPTH = (0.85, 0.65, 0.6)
 """Least share of the photos' own depth that the surface meets within 1 %, for good, usable and incomplete. Statue .94,
 fruit .96, stump .94; furry head .68; glass .44 and, rendered, .58; black gloss .36."""
+_FAR_APART = 20.0
+"""Degrees between neighbouring photos from which on these, and not shine, are why depth disagrees: key points are found
+again over 30 degrees by chance, and photos end up in wrong places."""
 _LACE = (0.02, 0.05, 0.2)
 """Most of the object in holes in the worst photo."""
 _COVER = (0.9, 0.8, 0.6)
@@ -57,7 +60,7 @@ def grade_asset(certificate: Certificate, check: PhotoCheck, filled: float) -> G
     checks = check.surface or check.own
     if not checks:
         return None
-    faults = list(_faults(certificate, checks, filled, check.scene))
+    faults = list(_faults(certificate, check, checks, filled))
     worst = max(faults, key=lambda each: each.level)
     level = worst.level
     if level == 1 and len({each.kind for each in faults if each.level}) > 1:
@@ -75,7 +78,9 @@ class _Fault:
     advice: str
 
 
-def _faults(certificate: Certificate, checks: Sequence[SurfaceCheck], filled: float, scene: bool) -> Iterator[_Fault]:
+def _faults(
+    certificate: Certificate, check: PhotoCheck, checks: Sequence[SurfaceCheck], filled: float
+) -> Iterator[_Fault]:
     """Yield how bad each figure is."""
     worst = worst_photo(checks)
     lace, photo = worst.figures.lace, worst.picture.name
@@ -86,11 +91,14 @@ def _faults(certificate: Certificate, checks: Sequence[SurfaceCheck], filled: fl
     matched = mean_figures([each for each in checks if not each.picture.tracked])
     depth = 1.0 if matched is None or matched.depth is None else matched.depth
     met = _above(-depth, tuple(-each for each in _DEPTH))
-    yield _Fault(met, "depth", say("depth_of_photos_disagrees", share=depth), "again_matt")
+    if check.apart > _FAR_APART:
+        yield _Fault(met, "depth", say("photos_stand_far_apart", share=depth, degrees=check.apart), "again_around")
+    else:
+        yield _Fault(met, "depth", say("depth_of_photos_disagrees", share=depth), "again_matt")
     cover = sum(each.figures.cover for each in checks) / len(checks)
     covered = _above(-cover, tuple(-each for each in _COVER))
     yield _Fault(covered, "holes", say("object_not_covered", share=cover), "again_around")
-    ragged = 0.0 if scene else certificate.border_over_root
+    ragged = 0.0 if check.scene else certificate.border_over_root
     yield _Fault(_above(ragged, _RAGGED), "holes", say("surface_is_ragged", border=ragged), "again_matt")
     yield _Fault(_above(filled, _MADE_UP), "made up", say("much_was_filled_in", share=filled), "again_around")
 

@@ -64,11 +64,13 @@ class PhotoCheck:
     surface  with those that were held out; empty where the capture could spare none
     own      then with a few of those that it was made from
     scene    whether the surroundings are a part of it, whose borders are where photos end
+    apart    degrees from a photo to the next one, as seen from the surface: the median; 0 where there is no other
     """
 
     surface: tuple[SurfaceCheck, ...] = ()
     own: tuple[SurfaceCheck, ...] = ()
     scene: bool = False
+    apart: float = 0.0
 
     @property
     def figures(self) -> PhotoFigures | None:
@@ -96,10 +98,21 @@ def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) 
     """Compare a mesh in the unit frame with the held-out photos of its points, else with a few of the others."""
     held_out, seen_by = in_unit_frame(points.held_out_views, unit), in_unit_frame(points.texture_views, unit)
     scene = points.cut is not None and points.cut.kept == "scene"
+    apart = _degrees_apart(np.array([each.eye for each in (*seen_by, *held_out)]), mesh_unit)
     if held_out:
-        return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)), scene=scene)
+        return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)), scene=scene, apart=apart)
     few = seen_by[:: max(1, -(-len(seen_by) // _MOST_OWN))]
-    return PhotoCheck(own=tuple(check_surface(mesh_unit, few, seen_by)), scene=scene)
+    return PhotoCheck(own=tuple(check_surface(mesh_unit, few, seen_by)), scene=scene, apart=apart)
+
+
+def _degrees_apart(eyes: Floats, mesh: Mesh) -> float:
+    """Median angle between a camera (M,3) and the next one, as seen from the middle of a mesh; 0 below two cameras."""
+    if len(eyes) < 2:
+        return 0.0
+    towards = eyes - (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    chord = cKDTree(towards).query(towards, k=2)[0][:, 1]
+    return float(np.degrees(2 * np.arcsin(np.median(chord) / 2)))
 
 
 def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> Mesh:

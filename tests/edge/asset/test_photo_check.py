@@ -84,6 +84,9 @@ def check_of(name: str, **figures: float) -> SurfaceCheck:
 def test_surface_and_colours_are_compared_in_the_frames_of_unit_and_asset() -> None:
     check, known = measured()
     assert check.figures == replace(FAULTLESS, photos=2, depth=1.0)
+    first, second, third = (np.array(each) / np.linalg.norm(each) for each in EYES)
+    nearest = [max(first @ second, first @ third), max(second @ first, second @ third), max(third @ first, third @ second)]
+    assert check.apart == pytest.approx(np.degrees(np.arccos(np.median(nearest))), abs=0.1)
     pairs = check_textures_with_photos(in_asset(SHEET, to_asset()), check, known, to_asset())
     figures = figures_with_textures(check, pairs)
     assert figures is not None
