@@ -158,12 +158,16 @@ def test_a_filled_opening_is_seen_and_an_open_one_is_not() -> None:
     assert as_it_is == {
         "closed openings %": pytest.approx(0, abs=0.5),
         "mesh over openings %": pytest.approx(0, abs=0.2),
+        "filled over openings %": 0.0,
     }
     domed = Mesh(
         lid.vertices + [0, 0, 0.03] * (1 - np.square(lid.vertices[:, :2]).sum(axis=1) / 0.01)[:, None], lid.faces
     )
     for cover, closed in ((lid, 100), (domed, 100), (half_of(lid), 50)):
-        filled = Comparison(concatenate([open_tub, cover]), known).openings()
+        whole = concatenate([open_tub, cover])
+        made_up = np.arange(len(whole.vertices)) >= len(open_tub.vertices)
+        filled = Comparison(whole, known, made_up).openings()
+        assert filled["filled over openings %"] == pytest.approx(filled["mesh over openings %"], abs=0.5)
         assert filled["closed openings %"] == pytest.approx(closed, abs=2.5)
         area = 0.01 * np.pi * closed / 100  # of the lid, beside wall and bottom
         assert filled["mesh over openings %"] == pytest.approx(100 * area / (area + 0.07 * np.pi), abs=1.5)

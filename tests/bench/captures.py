@@ -258,8 +258,18 @@ def write_pictures(out: Path, bundle: Bundle) -> None:
 
 def full_mesh(bundle: Bundle) -> Mesh:
     """The full mesh, in the capture's frame."""
-    loaded = trimesh.load_mesh(BytesIO(bundle.files["mesh.ply"]), file_type="ply", process=False)
+    loaded = _loaded(bundle)
     return Mesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64))
+
+
+def filled_vertices(bundle: Bundle) -> Bools:
+    """(V,) the vertices of the full mesh that nobody measured."""
+    vertices = _loaded(bundle).metadata["_ply_raw"]["vertex"]["data"]
+    return vertices["filled"] > 0 if "filled" in vertices.dtype.names else np.zeros(len(vertices), bool)
+
+
+def _loaded(bundle: Bundle) -> Any:
+    return trimesh.load_mesh(BytesIO(bundle.files["mesh.ply"]), file_type="ply", process=False)
 
 
 def _figures_of_truth(row: Row, bundle: Bundle, held_out: Sequence[Frame]) -> dict[str, Any]:

@@ -41,11 +41,12 @@ def to_truth(known: RenderedPhotos, frames: Sequence[Frame]) -> Floats:
 
 
 class Comparison:
-    """A mesh beside the true shape, both in the shape's frame."""
+    """A mesh beside the true shape, both in the shape's frame; filled (V,): its vertices that nobody measured."""
 
-    def __init__(self, mesh: Mesh, known: RenderedPhotos) -> None:
+    def __init__(self, mesh: Mesh, known: RenderedPhotos, filled: Bools | None = None) -> None:
         rng = np.random.default_rng(0)
         self._mesh, self._known, self._shape = mesh, known, known.shape
+        self._filled = np.zeros(len(mesh.vertices), bool) if filled is None else filled
         self.size = float(np.ptp(known.shape.mesh.vertices, axis=0).max())
         self._made = sample(mesh, _SAMPLES, rng).xyz
         self._true = sample(known.shape.mesh, _TRUE_SAMPLES, rng).xyz
@@ -68,13 +69,13 @@ class Comparison:
         return {"accurate %": _share(self._gap < self._within), "complete %": _share(np.isfinite(gap))}
 
     def openings(self) -> dict[str, float | None]:
-        """Shares of the openings that the mesh closes, and of the mesh that closes openings.
+        """Shares of the openings that the mesh closes, of the mesh that closes openings, and of what was filled there.
 
         A place of an opening is closed where the line through it, across the opening, first meets the mesh away from
         the truth.
         """
         if self._shape.openings is None:
-            return {"closed openings %": None, "mesh over openings %": None}
+            return {"closed openings %": None, "mesh over openings %": None, "filled over openings %": None}
         places = sample(self._shape.openings, _OPENING_SAMPLES, np.random.default_rng(0))
         free = self._from_truth(places.xyz) > self._within
         at, across = places.xyz[free], places.normals[free]
@@ -89,10 +90,12 @@ class Comparison:
         gap, nearest = cKDTree(at).query(away, distance_upper_bound=reach, workers=-1)
         away, gap, nearest = (each[np.isfinite(gap)] for each in (away, gap, nearest))
         height = np.einsum("nx,nx->n", away - at[nearest], across[nearest])
-        over = gap**2 - height**2 < self._within**2
+        over = away[gap**2 - height**2 < self._within**2]
+        made_up = self._filled[cKDTree(self._mesh.vertices).query(over, workers=-1)[1]]
         return {
             "closed openings %": _share(closed),
-            "mesh over openings %": percent(float(over.sum() / len(self._made))),
+            "mesh over openings %": percent(len(over) / len(self._made)),
+            "filled over openings %": percent(float(made_up.sum() / len(self._made))),
         }
 
     def thin_parts(self) -> dict[str, float | None]:

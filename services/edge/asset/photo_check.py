@@ -118,8 +118,11 @@ def _degrees_apart(eyes: Floats, mesh: Mesh) -> float:
 def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> Mesh:
     """Cut off the rims of a mesh in the unit frame that photos show to be background.
 
-    Depth that was matched between photos errs at outlines, by the width of a window; that of a sensor does not.
+    Depth that was matched between photos errs at outlines, by the width of a window; that of a sensor does not. An
+    object that was closed has no rims: outlines were asked when points were inferred.
     """
+    if points.closed and points.inferred is not None:
+        return mesh_unit
     untracked = [view for view in points.texture_views if not view.tracked]
     step = max(1, -(-len(untracked) // _MOST_OUTLINES))
     outside = outside_outlines(mesh_unit, in_unit_frame(untracked[::step], unit))

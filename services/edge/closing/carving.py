@@ -25,6 +25,8 @@ _FEWEST = 2
 _BESIDE = 0.35
 """Share of the photos that show a place which must show background there. Fewer see a rim before the background than
 before the thing; in dark corners a third of the outlines is wrong."""
+_LONGEST_PX = 320
+"""Longer side of the pictures in which outlines are found: a cell of the grid that is carved has 3 pixels then."""
 _ROUNDS = 1
 """Rounds of GrabCut: photos vote, and three rounds find no more."""
 
@@ -78,7 +80,7 @@ class Carving:
 
 
 def _outline(picture: PosedPicture, thing: Mesh, scene: RaycastingScene) -> _Outline | None:
-    view = see_mesh(picture, scene)
+    view = see_mesh(picture, scene, _LONGEST_PX)
     if view is None:
         return None
     beside = beyond(outline_thing(view, picture, thing, scene, rounds=_ROUNDS))

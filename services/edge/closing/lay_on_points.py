@@ -15,7 +15,6 @@ from capture2vr.edge.mesh.nouns import Mesh
 _NEIGHBOURS = 12
 _WIDE = 2.0  # spacings: standard deviation of the points' weights by their distance along the surface
 _FARTHEST = 1.5  # cells off the mesh: what is farther is another surface
-_ALIKE = 0.5  # cosine between normals from which on a point counts fully: 60 degrees, as in a weave or fur
 _SURE = 3.0  # sum of the weights from which on a place is known as well as with more
 _STIFF = 1.0  # weight of the offsets' bending
 _STILL = 0.01  # weight of no offset: bending alone goes on with a slope, and lifted a cup's whole bottom by a cell
@@ -33,7 +32,7 @@ def lay_on_points(mesh: Mesh, points: OrientedPoints, spacing: float, cell: floa
     away, near = cKDTree(xyz).query(mesh.vertices, k=range(1, 1 + min(_NEIGHBOURS, len(xyz))), workers=-1)
     off = np.einsum("vkx,vx->vk", xyz[near] - mesh.vertices[:, None], normals)
     aside = np.square(away) - np.square(off)
-    alike = np.clip(np.einsum("vkx,vx->vk", points.normal[near], normals) / _ALIKE, 0, 1)
+    alike = np.maximum(np.einsum("vkx,vx->vk", points.normal[near], normals), 0)
     weight = alike * np.exp(-aside / (_WIDE * spacing) ** 2) * (np.abs(off) < _FARTHEST * cell)
     total = weight.sum(axis=1)
     wanted = (weight * off).sum(axis=1) / np.maximum(total, 1e-9)

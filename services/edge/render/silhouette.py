@@ -63,11 +63,12 @@ class MeshInPhoto:
     hidden: Bools
 
 
-def see_mesh(picture: PosedPicture, scene: RaycastingScene) -> MeshInPhoto | None:
-    """Render a mesh from a photo's camera; None where the photo shows too little of it."""
+def see_mesh(picture: PosedPicture, scene: RaycastingScene, longest: int = LONGEST_PX) -> MeshInPhoto | None:
+    """Render a mesh from a photo's camera, in pixels of which the longer side has so many; None where the photo shows
+    too little of it."""
     import cv2
 
-    rgb = shrink_to(picture.load_rgb(), LONGEST_PX)
+    rgb = shrink_to(picture.load_rgb(), longest)
     height, width = rgb.shape[:2]
     hits, rays = cast_pixels(picture, scene, width, height)
     found = (hits.face >= 0).reshape(height, width)
