@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from capture2vr.edge.engine.address import engine_for_parts
 from capture2vr.edge.engine.nouns import Needs
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import Ktx2Encoder
@@ -13,6 +12,7 @@ from capture2vr.edge.field.device import find_device
 from capture2vr.edge.jobs.available_presets import known_presets
 from capture2vr.edge.jobs.central_client import Central
 from capture2vr.edge.jobs.fit_job import FieldFitter
+from capture2vr.edge.jobs.job_process import JobProcesses
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.worker.control_group import own_control_group
 from capture2vr.edge.worker.guard import is_container_start, run_guarded
@@ -67,9 +67,9 @@ def _start(*, out_of_memory: bool) -> int:
     memory = MemoryBudget(settings.memory or device.memory_bytes or machine_bytes())
     central = Central(settings.central, credentials=credentials) if settings.central else None
     room = Needs(machine_cores() / settings.slots, 1 / settings.slots, machine_bytes() // settings.slots)
-    engine = engine_for_parts(settings.engine, room)
-    fitter = FieldFitter(store, presets, device, memory, policy, encode, engine)
-    work = Reconstructor(fitter, central, storage.collection)
+    fitter = FieldFitter(store, presets, device, memory, policy, encode, (settings.engine, room))
+    processes = JobProcesses(most_seconds=settings.job_s)
+    work = Reconstructor(fitter, central, storage.collection, processes)
     work.warm_up()
     return serve(settings, work, out_of_memory=out_of_memory)
 

@@ -22,6 +22,9 @@ AUTOMATIC = "auto"
 """Name of the automatic choice: the pipeline then chooses a preset from the points (`preset_choice.py`). An empty name
 means the same."""
 
+PresetName = Literal["draft", "standard", "fine", "scene", "scene-tiles"]
+"""Presets that the automatic choice chooses from."""
+
 _ORDER = ("draft", "standard", "fine", "splats", "scene", "scene-tiles")
 """Order of the product's presets in lists, from quick to thorough; the literature's come after them."""
 _POINT_BYTES = 400  # of a capture: 1,000,000 points take 400 MB on their way to the 200,000 that are kept

@@ -7,7 +7,6 @@ where the scale is known, and on whether there is a GPU. It comes with a reason,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,9 +15,8 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.field.noise import SCALES, noise_level
 from capture2vr.edge.mesh.spacing import point_spacing
 from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.preset import PresetName
 from capture2vr.sentences.sentence import say
-
-PresetName = Literal["draft", "standard", "fine", "scene", "scene-tiles"]
 
 FEWEST = 200  # points: of fewer, the neighbours that train a patch are a tenth of the cloud and more
 # Longest side above which 512 cells are coarser than the 2 cm that furniture needs; one turn of a street's scanner is

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import threading
 import weakref
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from capture2vr.process.child_start import python_command, start_child
@@ -14,6 +15,7 @@ from capture2vr.process.child_start import python_command, start_child
 _PASSED_ON = ("PATH", "HOME", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "TMPDIR")  # never a secret
 # Threads of libraries do not survive a fork; a process for each piece of work is parallel enough.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+_OF_COMPUTING = ("OMP_", "OPENBLAS_", "MKL_", "CUDA_", "NVIDIA_", "PYTORCH_", "TORCH_", "RAY_", "XDG_CACHE_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +29,20 @@ class Forked:
 class ForkServer:
     """Starts processes that run `work` of a module; starts its server at first use, and again where that was killed."""
 
-    def __init__(self, *program: str) -> None:
-        """program: arguments of the interpreter, to which the number of the control socket is added"""
+    def __init__(self, *program: str, threads: bool = False) -> None:
+        """program: arguments of the interpreter, to which the number of the control socket is added
+
+        threads  whether libraries may use several threads, as in this process, and the GPU's and Ray's variables count
+        """
         self._program = program
+        self._variables = variables_of_computing() if threads else _ONE_THREAD
         self._server: _RunningServer | None = None
         self._lock = threading.Lock()
 
     @classmethod
-    def of(cls, module: str) -> ForkServer:
+    def of(cls, module: str, *, threads: bool = False) -> ForkServer:
         """Return the server of a module that has `work`."""
-        return cls("-m", "capture2vr.process.fork_server", module)
+        return cls("-m", "capture2vr.process.fork_server", module, threads=threads)
 
     def start(self) -> None:
         """Start the server now, so that the first piece of work need not wait for it."""
@@ -64,20 +70,25 @@ class ForkServer:
         if self._server is None or self._server.has_ended:
             if self._server is not None:
                 self._server.close()
-            self._server = _RunningServer(self._program)
+            self._server = _RunningServer(self._program, self._variables)
         return self._server
+
+
+def variables_of_computing() -> dict[str, str]:
+    """Return those of this process's variables by which libraries compute: their threads, GPUs and clusters."""
+    return {name: value for name, value in os.environ.items() if name.startswith(_OF_COMPUTING)}
 
 
 class _RunningServer:
     """A running server, with the socket over which it gets descriptors."""
 
-    def __init__(self, program: tuple[str, ...]) -> None:
+    def __init__(self, program: tuple[str, ...], more: Mapping[str, str]) -> None:
         self._control, theirs = socket.socketpair()
         variables = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
         with theirs:
             self._process = start_child(
                 python_command(*program, str(theirs.fileno())),
-                environment={**variables, **_ONE_THREAD},
+                environment={**variables, **more},
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C in a terminal is for the service, which then ends this

@@ -3,12 +3,12 @@
 Decoders of hostile bytes may crash, hang or eat memory, and run arbitrary code where they have a fault. So each piece
 of work has a process of its own, with limits and without its service's settings and secrets. Starting an interpreter
 would cost each up to a second; this process has loaded MODULE and all that it needs, and a fork of it is there within
-milliseconds. MODULE has `work(order, send)`, which sets its own limits, and sends any messages.
+milliseconds. MODULE has `work(order, talk)`, which sets its own limits, and sends and receives any messages.
 
 For each piece of work the service sends two descriptors over the socket FD (fork_client.py). The first is a socket,
 over which it sends the order as one line of JSON, and then reads messages, one a line, until the end: those of `work`,
 `{"failed": TRACEBACK}` for an exception, and `{"ended": STATUS}`. The second is a pipe, the leash: the process is
-killed when the service closes it.
+killed when the service closes it. Whatever a process has started is killed when it has ended.
 """
 
 from __future__ import annotations
@@ -25,14 +25,32 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TextIO
 
-from capture2vr.sentences.documents import with_codes
+from capture2vr.process.parent_death import adopt_orphans, children_of
+from capture2vr.sentences.documents import with_codes, with_sentences
 
-Send = Callable[[dict[str, Any]], None]
-"""Sends a message to the service."""
 
-Work = Callable[[dict[str, Any], Send], None]
+class Talk:
+    """The work's end of the socket to the service."""
+
+    def __init__(self, channel: socket.socket, lines: TextIO) -> None:
+        self._channel, self._lines = channel, lines
+
+    def send(self, message: dict[str, Any]) -> None:
+        """Send a message, with the codes of its sentences. Raises BrokenPipeError where the service is gone."""
+        _send(self._channel, message)
+
+    def receive(self) -> dict[str, Any]:
+        """Wait for a message of the service. Raises BrokenPipeError where it is gone, or wants no more."""
+        line = self._lines.readline()
+        if not line:
+            raise BrokenPipeError
+        message: dict[str, Any] = with_sentences(json.loads(line))
+        return message
+
+
+Work = Callable[[dict[str, Any], Talk], None]
 
 
 @dataclass(slots=True)
@@ -116,6 +134,7 @@ class _Server:
         assert running.process is not None
         _, status = os.waitpid(running.process, 0)
         running.process = None
+        self._kill_orphans()
         for descriptor in (running.leash, running.ended):
             with suppress(KeyError):  # the leash has been closed before
                 self._selector.unregister(descriptor)
@@ -124,9 +143,19 @@ class _Server:
         self._running.remove(running)
         running.close()
 
+    def _kill_orphans(self) -> None:
+        """Kill what a process had started that has ended, and what that had started: they are this server's now."""
+        ours = {each.process for each in self._running}
+        while orphans := [each for each in children_of(os.getpid()) if each not in ours]:
+            for orphan in orphans:
+                with suppress(ProcessLookupError):
+                    os.kill(orphan, signal.SIGKILL)
+                os.waitpid(orphan, 0)
+
 
 def serve(control: socket.socket, work: Work) -> None:
     """Fork a process for each piece of work that arrives over `control`, until the service closes it."""
+    adopt_orphans()
     gc.freeze()  # else the garbage collections of each fork would copy all pages
     _Server(control, work).run()
 
@@ -134,14 +163,14 @@ def serve(control: socket.socket, work: Work) -> None:
 def _run(channel: socket.socket, work: Work) -> None:
     with channel.makefile("r", encoding="utf-8") as lines:
         order = lines.readline()
-    try:
-        if order:
-            work(json.loads(order), lambda message: _send(channel, message))
-    except BrokenPipeError:
-        pass  # the service has been killed
-    except BaseException:  # noqa: BLE001 - the service logs what it was
-        with suppress(OSError):
-            _send(channel, {"failed": traceback.format_exc()})
+        try:
+            if order:
+                work(json.loads(order), Talk(channel, lines))
+        except BrokenPipeError:
+            pass  # the service has been killed, or wants no more
+        except BaseException:  # noqa: BLE001 - the service logs what it was
+            with suppress(OSError):
+                _send(channel, {"failed": traceback.format_exc()})
 
 
 def _send(channel: socket.socket, message: dict[str, Any]) -> None:

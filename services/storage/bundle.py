@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
+from capture2vr.sentences.sentence import say
+
 Json = Any
 """Any value that `json` can write. The pipeline decides what a manifest contains."""
 
@@ -56,6 +58,11 @@ class FilesOnDisk(Mapping[str, bytes]):
     def __init__(self, files: Mapping[str, bytes], paths: Mapping[str, Path]) -> None:
         self._files, self._paths = files, paths
 
+    @property
+    def paths(self) -> Mapping[str, Path]:
+        """The files that are on disk, by name."""
+        return self._paths
+
     def __getitem__(self, file: str) -> bytes:
         return self._paths[file].read_bytes() if file in self._paths else self._files[file]
 
@@ -65,6 +72,11 @@ class FilesOnDisk(Mapping[str, bytes]):
 
     def __len__(self) -> int:
         return len(self._files.keys() | self._paths.keys())
+
+
+def publishing(state: State) -> str:
+    """Return the message of the stage PUBLISHING."""
+    return say("publishing", state=say("word_preview" if state == "preview" else "word_refined"))
 
 
 def content_name(file: str, sha256: str) -> str:

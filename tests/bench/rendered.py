@@ -15,7 +15,17 @@ from typing import Any
 from capture2vr.edge.export.ply import ply_bytes
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.read_capture import read_capture
-from tests.bench.captures import Row, closing_figures, filled_vertices, full_mesh, make, photo_figures, print_rows, slug, write_pictures
+from tests.bench.captures import (
+    Row,
+    closing_figures,
+    filled_vertices,
+    full_mesh,
+    make,
+    photo_figures,
+    print_rows,
+    slug,
+    write_pictures,
+)
 from tests.bench.photo_sets import rendered
 from tests.bench.rendered_figures import Comparison, depth_by_luma, to_truth
 from tests.support.photos.rendered.photos import SUBJECTS

@@ -21,7 +21,7 @@ from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.progress import Bar, Clock, Progress
 from capture2vr.edge.texture.nearest_colour import transfer_colours
 from capture2vr.sentences.sentence import say
-from capture2vr.storage.bundle import Bundle, State
+from capture2vr.storage.bundle import Bundle, State, publishing
 
 _LODS_SHARE = 0.3  # of the TEXTURING stage's time goes into levels of detail, where they get textures too
 _TEXTURES_END = 0.4  # of the same, where splats are trained after the textures
@@ -164,8 +164,3 @@ def _try_textures(
         if state == "refined":
             raise
         return coloured.levels, (), error
-
-
-def publishing(state: State) -> str:
-    """Return the message of the stage PUBLISHING."""
-    return say("publishing", state=say("word_preview" if state == "preview" else "word_refined"))

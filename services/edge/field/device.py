@@ -1,4 +1,4 @@
-"""Find the device that fields are trained on, and give jobs their own streams on it.
+"""Find the device that fields are trained on.
 
 Torch, which loads for a second, is imported only where there may be a GPU.
 """
@@ -8,8 +8,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,10 +21,6 @@ _DRIVER_FILES = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")
 
 _GPU_SHARE = 0.9
 """Share of a GPU's free memory, at the worker's start, for fits: kernels, context and fragments take the rest."""
-
-_idle_streams: dict[str, list[Any]] = {}
-"""CUDA streams that no job uses now, by device. They are used again, because the memory that torch keeps belongs to
-the stream that it was allocated in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,29 +56,6 @@ def find_device(wanted: str) -> Device:
     if number >= count:
         raise _absent(wanted, _why(torch, count))
     return _gpu(torch, number)
-
-
-@contextmanager
-def own_stream(device: str) -> Iterator[None]:
-    """Compute what this thread asks of a GPU in a CUDA stream of its own; on a CPU nothing changes.
-
-    In torch's default stream, which all threads share, the trainings of several jobs wait for each other.
-    """
-    if device == "cpu":
-        yield
-        return
-    import torch
-
-    idle = _idle_streams.setdefault(device, [])
-    try:
-        stream = idle.pop()
-    except IndexError:
-        stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
-    try:
-        with torch.cuda.stream(stream):
-            yield
-    finally:
-        idle.append(stream)
 
 
 def _may_have_gpu() -> bool:

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import get_args
 
-from capture2vr.edge import preset_choice
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.field.device import Device
-from capture2vr.edge.jobs.points_archive import VERSION
-from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
-from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.preset import AUTOMATIC, Preset, PresetName, load_preset, memory_bytes, parse_preset, preset_names
+from capture2vr.edge.worker.capabilities import POINTS_VERSION, Capabilities
 from capture2vr.sentences.documents import codes_as_json
 
-CHOICES: tuple[str, ...] = get_args(preset_choice.PresetName)
+CHOICES: tuple[str, ...] = get_args(PresetName)
 """Names of the presets that the automatic choice may choose."""
 
 
@@ -47,7 +45,7 @@ def capabilities_of(presets: Mapping[str, Preset], device: Device, total_bytes: 
     messages = [_to_message(preset, presets, device) for preset in presets.values()]
     withheld = [each for each in messages if least_bytes(presets[each.name], device) > total_bytes]
     offered = tuple(each for each in messages if each not in withheld)
-    return Capabilities(device.description, offered, total_bytes, tuple(withheld), points_version=VERSION)
+    return Capabilities(device.description, offered, total_bytes, tuple(withheld), points_version=POINTS_VERSION)
 
 
 def least_bytes(preset: Preset, device: Device) -> int:

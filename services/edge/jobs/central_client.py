@@ -19,7 +19,7 @@ import grpc
 
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api.grpc_client import GrpcClient, StreamEnded
-from capture2vr.edge.jobs.points_archive import VERSION
+from capture2vr.edge.worker.capabilities import POINTS_VERSION
 from capture2vr.process.grpc_security import NO_CREDENTIALS, ClientCredentials
 from capture2vr.sentences.sentence import say
 
@@ -221,6 +221,7 @@ def _fault(worker: pb.Worker) -> str:
     if worker.central:
         # Two workers that wait for each other's slots would deadlock; so would one that is its own central.
         return f"has a central itself, {worker.central}"
-    if worker.points_version != VERSION:
-        return f"takes points of version {worker.points_version}, not {VERSION}: install the same capture2vr on both"
+    if worker.points_version != POINTS_VERSION:
+        theirs = f"takes points of version {worker.points_version}, not {POINTS_VERSION}"
+        return f"{theirs}: install the same capture2vr on both"
     return "is shutting down" if worker.draining else ""

@@ -1,4 +1,4 @@
-"""Second half of a job: fit a field to the points, publish its bundles to the store, report as wire messages."""
+"""The worker's part of a fit that a job's process does: publish its bundles to the store, and give it memory."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import replace
-from pathlib import Path
 
 from capture2vr.edge.api import edge_pb2 as pb
-from capture2vr.edge.asset.assemble import publishing as publishing_message
-from capture2vr.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, preview_share
-from capture2vr.edge.engine.nouns import OpenEngine
+from capture2vr.edge.engine.nouns import Needs
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import EncodeKtx2
 from capture2vr.edge.field.device import Device
-from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.jobs.available_presets import capabilities_of
-from capture2vr.edge.pipeline import PreviewKept, bundles
-from capture2vr.edge.preset import AUTOMATIC, Preset, memory_bytes
-from capture2vr.edge.progress import Bar, Progress
+from capture2vr.edge.jobs.job_process import Done, JobProcess, Kept, MadeBundle
+from capture2vr.edge.jobs.job_task import Machine, fit_bytes, too_large
+from capture2vr.edge.preset import AUTOMATIC, Preset
 from capture2vr.edge.worker.capabilities import Capabilities
 from capture2vr.edge.worker.coded_messages import coded_progress, coded_published
 from capture2vr.edge.worker.job_request import ReconstructionRequest
@@ -29,6 +25,7 @@ from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.sentences.documents import codes_as_json
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, Json
+from capture2vr.storage.bundle import publishing as publishing_message
 from capture2vr.storage.catalogue.job_versions import StaleFence
 from capture2vr.storage.catalogue.publish import DEFAULT_POLICY, KeyElsewhere, PublishedAsset, PublishPolicy, publish
 from capture2vr.storage.catalogue.visibility import parse_visibility
@@ -39,12 +36,12 @@ _log = logging.getLogger(__name__)
 
 
 class FieldFitter:
-    """Fits fields to points on `device`, within the memory budget, and publishes to `store`.
+    """Lets jobs' processes fit fields on `device`, within the memory budget, and publishes to `store`.
 
     presets  by name, the default first
     policy   by which it publishes
     encode   encoder of KTX2 textures; without it, targets that want KTX2 are refused
-    engine   works at the tiles of large scenes; None: this process
+    engine   works at the tiles of large scenes: the setting EDGE_ENGINE, and a job's room; None: the job's process
     """
 
     def __init__(
@@ -55,11 +52,10 @@ class FieldFitter:
         memory: MemoryBudget,
         policy: PublishPolicy = DEFAULT_POLICY,
         encode: EncodeKtx2 | None = None,
-        engine: OpenEngine | None = None,
+        engine: tuple[str, Needs] | None = None,
     ) -> None:
         self.store = store
-        self._encode = encode
-        self._engine = engine
+        self.machine = Machine(device.name, memory.total_bytes, encode, engine)
         self._policy = policy
         self.presets = presets
         self.device = device
@@ -69,50 +65,41 @@ class FieldFitter:
     def offer(self) -> Capabilities:
         """The presets that fit in the memory budget, the device and the options that it has."""
         offer = capabilities_of(self.presets, self.device, self._memory.total_bytes)
-        return replace(offer, ktx2=self._encode is not None)
+        return replace(offer, ktx2=self.machine.encode is not None)
 
-    def fit(
-        self, prepared: PreparedPoints, bar: Bar, request: ReconstructionRequest, checkpoint: Path, report: Report
-    ) -> pb.Finished:
-        """Run a job from its points on: fit, extract, publish. Raises EdgeError, and Cancelled as `report` does.
+    def publish_all(self, process: JobProcess, request: ReconstructionRequest, report: Report) -> pb.Finished:
+        """Publish what a job's process makes, and reserve the memory of its fit, until it ends.
 
-        Raises MEMORY_EXCEEDED after the preview where the fit needs more than this worker's whole budget; with the
-        automatic preset the preview is the result then.
+        Raises EdgeError, and Cancelled as `report` does; MEMORY_EXCEEDED after the preview where the fit needs more
+        than this worker's whole budget; with the automatic preset the preview is the result then.
         """
-        steps = bundles(
-            prepared,
-            self.presets[request.options.preset],
-            bar,
-            request.options,
-            JobResources(self.device.name, checkpoint, self._encode, self._engine),
-            share=preview_share(prepared.source.kind) if bar.reached else PREVIEW_SHARE,
-            # Somebody who named a preset wants to know that it needs more; the automatic one makes the best of it.
-            refuse=self._refusal if request.options.preset == AUTOMATIC else lambda preset, points: "",
-        )
         publishing = 0.0
         warnings: Sequence[str] = ()
-        computing: Mapping[str, float] = {}
+        seconds: Mapping[str, float] = {}
         has_room = False
         # In this order: a training that is stopped frees its memory before the budget gives it to another job.
-        with ExitStack() as reserved, closing(steps):
+        with ExitStack() as reserved, closing(process.steps()) as steps:
             for step in steps:
                 match step:
-                    case Progress():
-                        report(to_wire(step))
-                    case Bundle():
+                    case MadeBundle(bundle, reached):
                         began = time.perf_counter()
-                        asset = self._publish_bundle(step, request, bar.reached, report)
-                        report(coded_published(asset, step.manifest, request.options.collection))
+                        asset = self._publish_bundle(bundle, request, reached, report)
+                        report(coded_published(asset, bundle.manifest, request.options.collection))
                         publishing += time.perf_counter() - began
-                        warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
+                        warnings, seconds = bundle.manifest["warnings"], bundle.manifest["seconds"]
                         # Only the preview tells how much memory the fit takes. A preview may come again after the fit.
-                        if step.state == "preview" and not has_room:
-                            reserved.enter_context(self._make_room(step.manifest, request, report))
+                        if bundle.state == "preview" and not has_room:
+                            reserved.enter_context(self._make_room(bundle.manifest, request, report))
                             has_room = True
-                    case PreviewKept():
-                        warnings, computing = (*warnings, step.warning), step.seconds
-        seconds = {"PUBLISHING": publishing, **computing}
-        return pb.Finished(warnings=warnings, seconds=seconds, i18n=codes_as_json(warnings=warnings))
+                        process.drop_bundle()
+                        process.go_on()
+                    case Kept():
+                        warnings, seconds = (*warnings, step.warning), step.seconds
+                    case Done():
+                        seconds = {**seconds, **step.seconds}
+        return pb.Finished(
+            warnings=warnings, seconds={"PUBLISHING": publishing, **seconds}, i18n=codes_as_json(warnings=warnings)
+        )
 
     def _publish_bundle(
         self, bundle: Bundle, request: ReconstructionRequest, reached: float, report: Report
@@ -144,21 +131,16 @@ class FieldFitter:
             message = say("result_could_not_be_written")
             raise EdgeError("STORE_UNAVAILABLE", message, hints=(say("try_again_later"),), retryable=True) from error
 
-    def _refusal(self, preset: Preset, points: int) -> str:
-        """Why a preset cannot be trained here on that many points: "" where the whole budget suffices."""
-        needed, total = self._bytes(preset, points), self._memory.total_bytes
-        if needed <= total:
-            return ""
-        return say("preset_needs_bytes_points_worker", preset=preset.name, needed=needed, points=points, total=total)
-
     def _too_large(self, manifest: Mapping[str, Json]) -> EdgeError | None:
         """The error MEMORY_EXCEEDED, where the fit after a preview needs more than the whole budget; else None."""
         points, total = int(manifest["points"]), self._memory.total_bytes
-        refusal = self._refusal(self.presets[manifest["preset"]], points)
+        refusal = too_large(self.presets[manifest["preset"]], points, self.machine)
         if not refusal:
             return None
         small = [
-            name for name, each in self.presets.items() if name != AUTOMATIC and self._bytes(each, points) <= total
+            name
+            for name, each in self.presets.items()
+            if name != AUTOMATIC and fit_bytes(each, points, self.machine) <= total
         ]
         return EdgeError(
             "MEMORY_EXCEEDED",
@@ -181,17 +163,5 @@ class FieldFitter:
     def _reserve_memory(self, manifest: Mapping[str, Json], report: Report) -> AbstractContextManager[None]:
         """Reserve the memory of the fit after a preview, and wait until it is free."""
         waiting = coded_progress(say("waiting_memory_other_jobs_use"), stage=pb.FITTING)
-        return self._memory.reserve(self._fit_bytes(manifest), lambda: report(waiting))
-
-    def _fit_bytes(self, manifest: Mapping[str, Json]) -> int:
-        """Memory that the fit after a preview takes, by the preview's manifest."""
-        return self._bytes(self.presets[manifest["preset"]], int(manifest["points"]))
-
-    def _bytes(self, preset: Preset, points: int) -> int:
-        """Memory that a preset's fit or tiles take; 0 where neither follows the preview, which is finished by then."""
-        return memory_bytes(preset, points, self.device.name) if preset.refines else 0
-
-
-def to_wire(progress: Progress) -> pb.Progress:
-    """Convert the pipeline's progress to the wire's message."""
-    return coded_progress(progress.message, stage=progress.stage, fraction=progress.fraction, losses=progress.losses)
+        wanted = fit_bytes(self.presets[manifest["preset"]], int(manifest["points"]), self.machine)
+        return self._memory.reserve(wanted, lambda: report(waiting))

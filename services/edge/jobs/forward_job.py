@@ -16,9 +16,9 @@ from capture2vr.edge.api.header_options import header_fields
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.jobs.central_client import Central, CentralUnavailable
 from capture2vr.edge.worker.coded_messages import coded_progress
+from capture2vr.edge.worker.failures import error_of
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import JobReturned, Report
-from capture2vr.sentences.documents import read_codes
 from capture2vr.sentences.sentence import say
 
 _log = logging.getLogger(__name__)
@@ -135,7 +135,7 @@ class _Forwarding:
             case "published":
                 self._report(event.published)
             case "failure":
-                raise _to_error(event.failure)
+                raise error_of(event.failure)
             case "finished":
                 return event.finished
             case _:  # a heartbeat, or an event that only a newer version knows
@@ -193,16 +193,4 @@ def _header(request: ReconstructionRequest, size: int) -> pb.Header:
         token=request.token,
         capture=request.capture,
         **header_fields(request.options.without_points()),
-    )
-
-
-def _to_error(failure: pb.Failure) -> EdgeError:
-    """Convert the failure that central reports to the error of this worker's job."""
-    said = read_codes(failure.i18n, message=failure.message, hints=tuple(failure.hints))
-    return EdgeError(
-        failure.code,
-        said["message"],
-        file=failure.file or None,
-        hints=tuple(said["hints"]),
-        retryable=failure.retryable,
     )

@@ -5,24 +5,26 @@ from __future__ import annotations
 import os
 import resource
 import tempfile
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.errors import EdgeError
-from capture2vr.edge.jobs.inspect_capture import ANSWER, inspect, too_costly, unpack_capture
+from capture2vr.edge.jobs.inspect_capture import ANSWER
+from capture2vr.edge.jobs.reading_limits import limited_reading
+from capture2vr.edge.jobs.unpack_capture import unpack_capture
+from capture2vr.edge.marking.isolate_marked import with_marked_photo
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.single_photo.cutout import cut_out
 from capture2vr.edge.worker.failures import failure_of
 from capture2vr.order.photo_box import PhotoBox
-from capture2vr.process.fork_server import Send
-from capture2vr.sentences.sentence import say
-
-# Beside the interpreter and its libraries, which have 350 MB: rows of text take 15 times their bytes when they are
-# parsed, and are parsed at 20 MB a second.
-_LEAST_BYTES, _BYTES_PER_BYTE, _MOST_BYTES = 1 << 30, 16, 6 << 30
-_LEAST_SECONDS, _SECONDS_PER_GB = 20, 100
+from capture2vr.process.fork_server import Talk
+from capture2vr.sentences.documents import codes_as_json
 
 
-def work(order: dict[str, Any], _: Send) -> None:
+def work(order: dict[str, Any], _: Talk) -> None:
     """Inspect an archive within limits that follow from its unpacked size, and write the answer to the scratch folder.
 
     order  archive and scratch: paths; box: of the object in a photo, as in JSON, or nothing
@@ -34,27 +36,34 @@ def work(order: dict[str, Any], _: Send) -> None:
     tempfile.tempdir = os.environ["TMPDIR"] = str(scratch)
     try:
         folder = unpack_capture(Path(order["archive"]), scratch)
-        _limit(sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()))
-        answer = inspect(folder, box)
+        with limited_reading(folder):
+            answer = inspect(folder, box)
     except EdgeError as error:
-        answer = _failed(error, scratch)
-    except MemoryError:
-        answer = _failed(too_costly(say("more_memory")), scratch)
+        answer = pb.Inspection(failure=failure_of(error, job="of an inspection", scratch=scratch))
     (scratch / ANSWER).write_bytes(answer.SerializeToString())
 
 
-def _limit(capture_bytes: int) -> None:
-    """Limit this process, and each child of it, to the processor time and memory that a capture of this size may take.
+def inspect(folder: Path, box: PhotoBox | None) -> pb.Inspection:
+    """Read a capture's folder: its kind, format and size, and the outline of the thing in a single photo.
 
-    Only the soft limits: a child with an own budget, for native decoders, sets its own.
+    box  rectangle of the thing in the photo; None: it is looked for
+
+    Raises EdgeError when the capture cannot be used.
     """
-    for kind, most in (
-        (resource.RLIMIT_DATA, min(_LEAST_BYTES + _BYTES_PER_BYTE * capture_bytes, _MOST_BYTES)),
-        (resource.RLIMIT_CPU, _LEAST_SECONDS + _SECONDS_PER_GB * capture_bytes // 10**9),
-    ):
-        hard = resource.getrlimit(kind)[1]
-        resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    capture = read_capture(folder)
+    with_marked_photo(capture, box)
+    cut = cut_out(capture.photos[0], box) if capture.kind == "image" else None
+    warnings = (*capture.warnings, *(cut.warnings if cut else ()))
+    return pb.Inspection(
+        kind=capture.kind,
+        format=capture.format,
+        frames=_frames(capture),
+        points=capture.whole.count if capture.whole else len(capture.cloud.xyz) if capture.cloud else 0,
+        warnings=warnings,
+        i18n=codes_as_json(warnings=warnings),
+        outline=[pb.Polygon(xy=chain.from_iterable(line)) for line in (cut.outline() if cut else ())],
+    )
 
 
-def _failed(error: EdgeError, scratch: Path) -> pb.Inspection:
-    return pb.Inspection(failure=failure_of(error, job="of an inspection", scratch=scratch))
+def _frames(capture: Capture) -> int:
+    return len(capture.frames) or len(capture.photos)

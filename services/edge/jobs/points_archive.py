@@ -39,13 +39,11 @@ from capture2vr.edge.jobs.archived_views import (
 from capture2vr.edge.jobs.archived_whole import MOST_WHOLE, RECORD, WHOLE, ArchivedWhole, read_whole, write_whole
 from capture2vr.edge.points.clean_cloud import MIN_POINTS
 from capture2vr.edge.points.nouns import CutReport, Points, UnseenSide
+from capture2vr.edge.worker.capabilities import POINTS_VERSION
 from capture2vr.order.edits import Edits
 from capture2vr.process.archives import ArchiveError, ArchiveLimits, unpack
 from capture2vr.process.atomic_write import atomic_write
 from capture2vr.sentences.documents import restored, with_codes, with_sentences
-
-VERSION = 9
-"""Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
 """Most points that are read: more than twice what fusing and cleaning ever leave; 124 MB of arrays."""
@@ -173,7 +171,7 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
     points = prepared.points
     seconds: Any = dict(prepared.seconds)
     return _Head(
-        version=VERSION,
+        version=POINTS_VERSION,
         points=len(points),
         coloured=points.rgb is not None,
         completed=points.inferred is not None,
@@ -230,8 +228,8 @@ def _require_version(text: bytes) -> None:
     except (ValueError, RecursionError):
         raise invalid("is not JSON", _HEAD) from None
     version = head.get("version") if isinstance(head, dict) else None
-    if version != VERSION:
-        raise invalid(f"is of version {version!r}; this worker reads {VERSION}", _HEAD)
+    if version != POINTS_VERSION:
+        raise invalid(f"is of version {version!r}; this worker reads {POINTS_VERSION}", _HEAD)
 
 
 def _require_files(folder: Path, wanted: set[str]) -> None:

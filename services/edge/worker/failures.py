@@ -9,6 +9,7 @@ from pathlib import Path
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.worker.coded_messages import coded_failure
+from capture2vr.sentences.documents import read_codes
 from capture2vr.sentences.sentence import map_texts, say
 
 _log = logging.getLogger(__name__)
@@ -40,6 +41,18 @@ def failure_of(error: BaseException, *, job: str, scratch: Path) -> pb.Failure:
         case _:
             _log.error("job %s: unexpected %s", job, type(error).__name__, exc_info=error)
             return internal(job)
+
+
+def error_of(failure: pb.Failure) -> EdgeError:
+    """Convert a `Failure`, that another worker or a job's process has told of, to the error that this job ends with."""
+    said = read_codes(failure.i18n, message=failure.message, hints=tuple(failure.hints))
+    return EdgeError(
+        failure.code,
+        said["message"],
+        file=failure.file or None,
+        hints=tuple(said["hints"]),
+        retryable=failure.retryable,
+    )
 
 
 def internal(job: str) -> pb.Failure:

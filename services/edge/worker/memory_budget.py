@@ -72,8 +72,13 @@ class MemoryBudget:
 
 def machine_bytes() -> int:
     """Bytes that fits may take: a share of this machine's memory, or of the container's limit where that is less."""
+    return int(_SHARE * whole_machine_bytes())
+
+
+def whole_machine_bytes() -> int:
+    """Bytes of this machine's memory, or of the container's limit where that is less."""
     physical = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return int(_SHARE * min(physical, own_control_group().limit_bytes or physical))
+    return min(physical, own_control_group().limit_bytes or physical)
 
 
 def machine_cores() -> int:

@@ -53,6 +53,7 @@ class EdgeSettings(StrictSettings):
     central_token: SecretStr = Field(SecretStr(""), description="The EDGE_TOKEN of central.")
     reflection: bool = Field(False, description="Answer gRPC reflection (grpcurl); for development.")
     log_level: str = Field("INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$", description="How much is logged.")
+    job_s: float = Field(86_400.0, gt=0, description="Most seconds that a job computes, after which it fails.")
     drain_s: float = Field(30.0, ge=0, le=3600, description="Seconds that running jobs get to finish after SIGTERM.")
     max_capture_bytes: int = Field(4 << 30, ge=1, description="Largest capture archive taken, in bytes.")
 

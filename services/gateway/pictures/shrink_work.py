@@ -14,7 +14,7 @@ from PIL import Image, UnidentifiedImageError
 from capture2vr.gateway.database.full_disk import is_disk_full
 from capture2vr.gateway.uploads.image_checks import MAX_PIXELS, load_pillow
 from capture2vr.gateway.uploads.process_limits import limit_process
-from capture2vr.process.fork_server import Send
+from capture2vr.process.fork_server import Talk
 from capture2vr.sentences.sentence import say
 
 LONGEST_PX = 1024
@@ -39,30 +39,30 @@ _TURNED_BY_TAG = ("JPEG", "PNG", "WEBP")  # decoders of HEIF and TIFF turn them 
 load_pillow()
 
 
-def work(order: dict[str, Any], send: Send) -> None:
+def work(order: dict[str, Any], talk: Talk) -> None:
     """Write the small, upright JPEG of the photo at `source` to `target`."""
     limit_process(_SECONDS, _MOST_DATA_BYTES)
     try:
         picture = shrink(Path(order["source"]))
     except UnidentifiedImageError:  # its text names our file
-        send({"unreadable": say("not_image_can_be_read")})
+        talk.send({"unreadable": say("not_image_can_be_read")})
     except MemoryError:
-        send({"unreadable": say("decoding_takes_too_much_memory")})
+        talk.send({"unreadable": say("decoding_takes_too_much_memory")})
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged files
-        send({"unreadable": say("image_damaged", error=error)})
+        talk.send({"unreadable": say("image_damaged", error=error)})
     else:
-        _write(picture, order["target"], send)
+        _write(picture, order["target"], talk)
 
 
-def _write(picture: Image.Image, target: str, send: Send) -> None:
+def _write(picture: Image.Image, target: str, talk: Talk) -> None:
     try:
         picture.save(target, "JPEG", quality=_QUALITY)
     except OSError as error:
         if not is_disk_full(error):
             raise
-        send({"full": True})
+        talk.send({"full": True})
     else:
-        send({"jpeg": True})
+        talk.send({"jpeg": True})
 
 
 def shrink(path: Path) -> Image.Image:

@@ -16,7 +16,7 @@ from capture2vr.gateway.uploads.image_checks import load_pillow
 from capture2vr.gateway.uploads.process_limits import limit_process
 from capture2vr.gateway.uploads.refusal import Refused
 from capture2vr.process.archives import is_zip
-from capture2vr.process.fork_server import Send
+from capture2vr.process.fork_server import Talk
 
 # Of processor time, beside what files of this number and size may take: 12 megapixels are checked in 60 ms.
 _LEAST_SECONDS, _SECONDS_PER_FILE, _SECONDS_PER_GB = 10.0, 0.02, 100.0
@@ -26,22 +26,22 @@ _MOST_DATA_BYTES = 768 << 20  # of a check, which needs 60 MB, and for a WebP or
 load_pillow()
 
 
-def work(fields: dict[str, Any], send: Send) -> None:
+def work(fields: dict[str, Any], talk: Talk) -> None:
     """Check and pack an upload, and send the result, within limits that follow from its size."""
     order = CheckOrder(**fields)
     limit_process(_allowed_seconds(order), _MOST_DATA_BYTES)
     try:
-        packed = check_and_pack(order, lambda name: send({"file": name}))
+        packed = check_and_pack(order, lambda name: talk.send({"file": name}))
         verdicts = [asdict(verdict) for verdict in packed.verdicts]
-        send({"packed": {"sha256": packed.sha256, "verdicts": verdicts}})
+        talk.send({"packed": {"sha256": packed.sha256, "verdicts": verdicts}})
     except Refused as refused:
-        send({"refused": asdict(refused)})
+        talk.send({"refused": asdict(refused)})
     except MemoryError:
-        send({"costly": True})
+        talk.send({"costly": True})
     except OSError as error:
         if not is_disk_full(error):
             raise
-        send({"full": True})
+        talk.send({"full": True})
 
 
 def _allowed_seconds(order: CheckOrder) -> float:

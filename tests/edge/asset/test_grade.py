@@ -79,10 +79,10 @@ def test_a_sensors_own_noise_is_no_fault_of_the_surface() -> None:
 
 def test_depth_that_disagrees_between_photos_far_apart_is_not_blamed_on_shine() -> None:
     certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 0.0, 1, 0, 1.0, 0.0, np.zeros(1))
-    near, far = (
-        grade_asset(certificate, PhotoCheck((photo(depth=0.4),), apart=apart), 0.0) for apart in (10.0, 30.0)
-    )
-    assert near and far and (near.level, far.level) == ("shoot again",) * 2
+    near, far = (grade_asset(certificate, PhotoCheck((photo(depth=0.4),), apart=apart), 0.0) for apart in (10.0, 30.0))
+    assert near is not None
+    assert far is not None
+    assert (near.level, far.level) == ("shoot again",) * 2
     assert "shiny" in near.because
     assert "30° apart" in far.because
     assert "every ten degrees" in far.advice

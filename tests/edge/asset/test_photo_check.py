@@ -85,7 +85,11 @@ def test_surface_and_colours_are_compared_in_the_frames_of_unit_and_asset() -> N
     check, known = measured()
     assert check.figures == replace(FAULTLESS, photos=2, depth=1.0)
     first, second, third = (np.array(each) / np.linalg.norm(each) for each in EYES)
-    nearest = [max(first @ second, first @ third), max(second @ first, second @ third), max(third @ first, third @ second)]
+    nearest = [
+        max(first @ second, first @ third),
+        max(second @ first, second @ third),
+        max(third @ first, third @ second),
+    ]
     assert check.apart == pytest.approx(np.degrees(np.arccos(np.median(nearest))), abs=0.1)
     pairs = check_textures_with_photos(in_asset(SHEET, to_asset()), check, known, to_asset())
     figures = figures_with_textures(check, pairs)

@@ -33,9 +33,9 @@ from capture2vr.edge.jobs import central_client
 from capture2vr.edge.jobs.available_presets import known_presets
 from capture2vr.edge.jobs.central_client import Central, CentralUnavailable, Timeouts
 from capture2vr.edge.jobs.fit_job import FieldFitter
-from capture2vr.edge.jobs.points_archive import VERSION, write_prepared
+from capture2vr.edge.jobs.points_archive import write_prepared
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
-from capture2vr.edge.worker.capabilities import Capabilities
+from capture2vr.edge.worker.capabilities import POINTS_VERSION, Capabilities
 from capture2vr.edge.worker.job_run import Work
 from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.edge.worker.scratch import Scratch
@@ -322,7 +322,7 @@ class Standing(Scripted):
 
     offer = replace(
         Scripted.offer,
-        points_version=VERSION,
+        points_version=POINTS_VERSION,
         presets=(pb.Preset(name="quick"), pb.Preset(name="theirs", trained=True)),
     )
 
@@ -342,7 +342,7 @@ class Standing(Scripted):
 @pytest.mark.parametrize(
     ("offer", "said"),
     [
-        (replace(Standing.offer, points_version=0), f"takes points of version 0, not {VERSION}"),
+        (replace(Standing.offer, points_version=0), f"takes points of version 0, not {POINTS_VERSION}"),
         (replace(Standing.offer, central="127.0.0.1:1"), "has a central itself, 127.0.0.1:1"),
         (replace(Standing.offer, presets=(pb.Preset(name="theirs"),)), "does not offer preset quick"),
     ],

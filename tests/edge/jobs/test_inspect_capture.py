@@ -14,8 +14,8 @@ import pytest
 
 from capture2vr.edge.arrays import no_tick
 from capture2vr.edge.errors import Cancelled, CaptureError
-from capture2vr.edge.jobs import inspection_work
 from capture2vr.edge.jobs.inspect_capture import Inspector
+from capture2vr.edge.jobs.reading_limits import limited_reading
 from capture2vr.process.fork_client import ForkServer
 from tests.support import captures
 
@@ -65,7 +65,9 @@ def test_a_capture_is_described_by_the_child(inspector: Inspector, tmp_path: Pat
 
 def test_a_face_of_two_million_corners_costs_no_more_than_its_triangles(inspector: Inspector, tmp_path: Path) -> None:
     inspector.start()
-    (server,) = (each for each in psutil.Process().children() if inspection_work.__name__ in each.cmdline())
+    (server,) = (
+        each for each in psutil.Process().children() if "capture2vr.edge.jobs.inspection_work" in each.cmdline()
+    )
     before = server.cpu_times()
     archive = packed(tmp_path, a__ply=ply_of_one_face(2_000_000))
     found = inspector.inspect(archive, scratch_in(tmp_path), None, no_tick)
@@ -92,12 +94,12 @@ def test_what_would_cost_much_is_refused_before(
 
 SCRIPTED = """
 import os, socket, sys
+from capture2vr.edge.jobs import inspection_work, reading_limits
 from capture2vr.process import fork_server
-from capture2vr.edge.jobs import inspection_work
 def inspect(folder, box):
     {costly}
 inspection_work.inspect = inspect
-inspection_work._LEAST_BYTES, inspection_work._LEAST_SECONDS = 1 << 29, 2
+reading_limits._LEAST_BYTES, reading_limits._LEAST_SECONDS = 1 << 29, 2
 fork_server.serve(socket.socket(fileno=int(sys.argv[1])), inspection_work.work)
 """
 
@@ -157,13 +159,19 @@ def test_a_fault_of_ours_is_an_error_with_its_traceback(tmp_path: Path) -> None:
         inspector.inspect(packed(tmp_path, a__ply=b"ply"), scratch_in(tmp_path), None, no_tick)
 
 
-def test_limits_grow_with_the_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_grow_with_the_capture_and_end_with_the_reading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     limits: dict[int, int] = {}
     monkeypatch.setattr(resource, "setrlimit", lambda kind, pair: limits.update({kind: pair[0]}))
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    seconds = int(used.ru_utime + used.ru_stime) + 1
+    before = {kind: resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_DATA, resource.RLIMIT_CPU)}
     seen = []
     for size in (0, 10**8, 10**9):
-        inspection_work._limit(size)
-        seen.append((limits[resource.RLIMIT_DATA], limits[resource.RLIMIT_CPU]))
+        with (tmp_path / "scan.ply").open("wb") as file:
+            file.truncate(size)
+        with limited_reading(tmp_path):
+            seen.append((limits[resource.RLIMIT_DATA], limits[resource.RLIMIT_CPU] - seconds))
+        assert limits == before
     assert seen == sorted(seen)
-    assert seen[0] == (1 << 30, 20)
-    assert seen[-1] == (6 << 30, 120)
+    assert seen[0] == (1 << 30, pytest.approx(20, abs=2))
+    assert seen[-1] == (6 << 30, pytest.approx(120, abs=2))

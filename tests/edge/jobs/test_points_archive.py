@@ -22,10 +22,11 @@ from capture2vr.edge.capture.photo_copy import encode_copy
 from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.jobs.archived_views import MOST_VIEWS
-from capture2vr.edge.jobs.points_archive import MOST_POINTS, VERSION, read_prepared, write_prepared
+from capture2vr.edge.jobs.points_archive import MOST_POINTS, read_prepared, write_prepared
 from capture2vr.edge.jobs.points_cache import load_points, save_points
 from capture2vr.edge.points.nouns import CutReport, Points, TextureView, UnseenSide
 from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.worker.capabilities import POINTS_VERSION
 from capture2vr.order.edits import CropBox, Edits
 from capture2vr.process.archives import unpack
 
@@ -267,7 +268,7 @@ ARRAYS: dict[str, tuple[str, bytes]] = {
 
 HEADS: dict[str, Any] = {
     "no version": {"version": None},
-    "a newer version": {"version": VERSION + 1},
+    "a newer version": {"version": POINTS_VERSION + 1},
     "a count below any capture's": {"points": 99},
     "a count beyond any capture's": {"points": MOST_POINTS + 1},
     "no scale": {"metres_per_unit": 0},
@@ -357,7 +358,7 @@ def test_a_head_that_is_none_is_named(tmp_path: Path, files: Files, what: str) -
     refused = refusal(tmp_path, {**files, "points.json": json.dumps(head).encode()})
     assert refused.file == "points.json"
     if what == "a newer version":
-        assert f"is of version {VERSION + 1}; this worker reads {VERSION}" in refused.message
+        assert f"is of version {POINTS_VERSION + 1}; this worker reads {POINTS_VERSION}" in refused.message
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"7", b"[" * 100_000, b'{"version": 1}', b"\xff", b" " * (5 << 20)])

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 import time
 import zipfile
-from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import grpc
 import numpy as np
+import psutil
 import pytest
 from scipy.spatial import cKDTree
 
@@ -22,13 +23,14 @@ from capture2vr.edge.asset.target import measure_cost
 from capture2vr.edge.field.device import find_device
 from capture2vr.edge.jobs.available_presets import known_presets
 from capture2vr.edge.jobs.fit_job import FieldFitter
+from capture2vr.edge.jobs.job_process import JobProcesses
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.preset import memory_bytes
 from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.publish import DEFAULT_POLICY, PublishedAsset, PublishPolicy, publish
+from capture2vr.storage.catalogue.publish import DEFAULT_POLICY, PublishPolicy, publish
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
@@ -184,29 +186,34 @@ async def test_a_key_of_another_collection_is_refused_by_name(
     assert (read_entry(store, "shoe").version, read_entry(store, "shoe").collections) == (1, ["ada"])
 
 
-async def test_a_job_computes_in_a_stream_of_its_own(
-    store: MemoryStore, scratch: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    streams: list[str] = []
-    seen: list[tuple[str, ...]] = []
+async def test_a_killed_process_ends_its_own_job_alone(store: MemoryStore, scratch: Path, tmp_path: Path) -> None:
+    """It can be sent again, and neither the worker nor the job beside it notices."""
+    processes = JobProcesses()
+    before = set(psutil.Process().children())
+    processes.start()
+    (server,) = set(psutil.Process().children()) - before
+    killed = asyncio.Event()
 
-    @contextmanager
-    def stream(device: str) -> Iterator[None]:
-        streams.append(f"of {device}")
-        yield
-        streams.clear()
+    async def kill_the_first() -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while not (jobs := server.children()):
+                await asyncio.sleep(0.01)
+        jobs[0].kill()
+        killed.set()
 
-    def look(*asset: Any, **where: Any) -> PublishedAsset:
-        seen.append(tuple(streams))
-        return publish(*asset, **where)
+    async def second(client: Client) -> list[pb.Event]:
+        await killed.wait()
+        return await client.ended(sent, "job_2", asset_key="hers", preset="draft")
 
-    monkeypatch.setattr("capture2vr.edge.jobs.reconstruct_job.own_stream", stream)
-    monkeypatch.setattr("capture2vr.edge.jobs.fit_job.publish", look)
-    work = Reconstructor(fitter(store))
-    async with worker(work, scratch) as client:
-        await client.ended(archive(tmp_path, dome_ply=hemisphere_ply(200)), asset_key="dome", preset="draft")
-    assert set(seen) == {("of cpu",)}
-    assert streams == []
+    sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
+    async with worker(Reconstructor(fitter(store), processes=processes), scratch, slots=2) as client:
+        first = client.ended(sent, "job_1", asset_key="his", preset="draft")
+        lost, other, _ = await asyncio.gather(first, second(client), kill_the_first())
+        assert (lost[-1].failure.code, lost[-1].failure.retryable) == ("JOB_PROCESS_LOST", True)
+        assert other[-1].HasField("finished"), other[-1]
+        again = await client.ended(sent, "job_1", fence=2, asset_key="his", preset="draft")
+        assert again[-1].HasField("finished"), again[-1]
+    assert leftovers(scratch) == []
 
 
 @pytest.mark.parametrize(

@@ -155,8 +155,8 @@ async def test_a_server_that_was_killed_is_started_again(checks: Below, tmp_path
 WAITING = """
 import os, socket, sys, time
 from capture2vr.process import fork_server
-def work(order, send):
-    send({"begun": True})
+def work(order, talk):
+    talk.send({"begun": True})
     while not os.path.exists(order["until"]):
         time.sleep(0.01)
 fork_server.serve(socket.socket(fileno=int(sys.argv[1])), work)
