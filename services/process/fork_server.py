@@ -27,7 +27,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TextIO
 
-from capture2vr.process.parent_death import adopt_orphans, children_of
+from capture2vr.process.parent_death import adopt_orphans, children_of, end_with_parent
 from capture2vr.sentences.documents import with_codes, with_sentences
 
 
@@ -109,8 +109,10 @@ class _Server:
             return False
         channel, leash = socket.socket(fileno=descriptors[0]), descriptors[1]
         ended, held = os.pipe()
+        server = os.getpid()
         process = os.fork()
         if process == 0:
+            end_with_parent(server)  # nobody else would hold the leash
             self._leave(ended, leash)
             _run(channel, self._work)
             os._exit(0)

@@ -31,8 +31,10 @@ class ForkedTalk:
 
     def send(self, message: Mapping[str, Any]) -> None:
         """Send a message. A process that has just ended tells so among its messages."""
+        self._channel.settimeout(None)
         with suppress(ConnectionError):
             self._channel.sendall(json.dumps(with_codes(message)).encode() + b"\n")
+        self._channel.settimeout(_POLL_S)
 
     def messages(self) -> Iterator[tuple[str, Any]]:
         """Yield what the process says, by name, until it has ended, the last as "ended": its exit status.

@@ -171,6 +171,20 @@ def test_a_cancelled_job_leaves_no_process_that_computes(tmp_path: Path) -> None
         assert server.children(recursive=True) == []
 
 
+def test_a_job_ends_with_the_server_that_holds_its_leash_and_the_next_one_has_another(tmp_path: Path) -> None:
+    before = set(psutil.Process().children())
+    with closing(processes("time.sleep(600)")) as started:
+        with running(started, task_in(tmp_path)) as process:
+            (server,) = set(psutil.Process().children()) - before
+            computing = psutil.Process(process.number)
+            server.kill()
+            with pytest.raises(EdgeError, match="ended before"):
+                list(process.steps())
+            computing.wait(PATIENCE_S)
+        with running(started, task_in(tmp_path, "job_2")) as process:
+            assert psutil.pid_exists(process.number)
+
+
 def test_of_two_jobs_the_one_that_takes_the_memory_ends(tmp_path: Path) -> None:
     does = "kept = bytearray((700 if task.job == 'job_large' else 1) << 20); time.sleep(600)"
     with (
