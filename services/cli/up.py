@@ -19,6 +19,7 @@ from capture2vr.cli.progress import console, warn
 from capture2vr.cli.stop_signals import exit_on_signals, stop_signals
 from capture2vr.errors import BadInput
 from capture2vr.process.child_start import python_command, start_child
+from capture2vr.process.private_files import private_folder
 from capture2vr.process.strict_settings import LOOPBACK
 
 DEFAULT_PORT = 8080
@@ -61,7 +62,7 @@ def run_stack(host: str, port: int, data: Path, *, wait: bool = True, everybody:
     """
     port = port or free_port()
     _check_free(host, port)
-    data.mkdir(parents=True, exist_ok=True)
+    private_folder(data)
     stack = Stack(host, port, data.resolve(), everybody=everybody)
     try:
         stack.start()

@@ -37,6 +37,7 @@ _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and heade
 _UPLOADS = re.compile("/v1/(captures|outlines|uploads(/[^/]*)?)/?")
 _UPLOAD_SILENCE_S = 90.0  # without a byte of a body; uploads have a limit of their own, which names the upload
 _SILENCE_S = 20.0
+_LEAST_BYTES_S = 512  # of a body, whose sender may be silent for as long as that once: a poor mobile line has 5,000
 _CLIENT_CLOSED = 499  # nginx's status for a client that disconnected before its answer; never sent, only counted
 _STREAM = "text/event-stream"
 _HSTS = "max-age=31536000"  # browsers ask by HTTPS for a year; subdomains are not ours to decide over
@@ -53,6 +54,7 @@ class _Exchange:
     silence_s: float
     began: float = field(default_factory=time.perf_counter)
     received: int = 0
+    waited: float = 0.0  # seconds for the body, not those in which the gateway was busy with what had come
     status: int = 0
     streamed: bool = False
     has_body: bool = False  # whether all of the body has been received
@@ -60,12 +62,16 @@ class _Exchange:
 
     async def receive(self, receive: Receive) -> Message:
         """Receive a part of the body. Raises Problem where it does not come in time, or is too large."""
+        began = time.perf_counter()
+        left = self.silence_s + self.received / _LEAST_BYTES_S - self.waited
         try:
-            async with asyncio.timeout(None if self.has_body else self.silence_s):
+            async with asyncio.timeout(None if self.has_body else min(self.silence_s, left)):
                 message = await receive()
         except TimeoutError:
-            self.refusal = _silent(self.silence_s)
+            slow = left < self.silence_s
+            self.refusal = _slow(self.received, self.waited + left) if slow else _silent(self.silence_s)
             raise self.refusal from None
+        self.waited += time.perf_counter() - began
         self.received += len(message.get("body", b""))
         self.has_body = not message.get("more_body", False)
         if self.received > self.limit:
@@ -149,6 +155,7 @@ def _add_headers(headers: MutableHeaders, scope: Scope, identity: str, *, has_tl
     headers.setdefault("X-Content-Type-Options", "nosniff")
     headers.setdefault("Referrer-Policy", "no-referrer")
     headers.setdefault("X-Request-ID", identity)
+    headers.setdefault("Cache-Control", "private, no-store")  # what anybody may keep says so
     headers.setdefault("Permissions-Policy", browser_permissions.ANY_PAGE)
     headers.setdefault("Cross-Origin-Opener-Policy", "same-origin")
     # What any origin's pages may read, they may also show: the other answers stay in this site.
@@ -200,6 +207,10 @@ def _declared_length(headers: Headers) -> int:
 
 def _silent(seconds: float) -> Problem:
     return Problem(408, "REQUEST_SILENT", say("client_sent_nothing_s", seconds=seconds), retryable=True)
+
+
+def _slow(received: int, seconds: float) -> Problem:
+    return Problem(408, "REQUEST_SLOW", say("client_sent_only_in_s", count=received, seconds=seconds), retryable=True)
 
 
 def _too_large(limit: int) -> Problem:

@@ -9,6 +9,7 @@ told by the headers that browsers add to requests (F. Valsorda 2025, "Cross-Site
 from __future__ import annotations
 
 import ipaddress
+import re
 import socket
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _OWN_SITE = frozenset({"same-origin", "none"})  # "none": typed, or opened from a bookmark
 # Names that no stranger can have: multicast DNS stays on the local network, and localhost on this machine.
 _LOCAL_SUFFIXES = (".local", ".localhost")
+_NAME = re.compile(r"[A-Za-z0-9._-]+", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +90,12 @@ def _authority(origin: str) -> str:
 
 
 def _is_nobodys(name: str) -> bool:
-    """Return whether a host is local (an IP address, a name without a dot, .local), so that no web site can own it."""
-    if "." not in name or name.endswith(_LOCAL_SUFFIXES):
-        return True
+    """Return whether a host is local (an IP address, a name without a dot, .local), so that no web site can own it.
+
+    Other characters than those of names may be read as a dot elsewhere, as those of Chinese and Japanese are.
+    """
     try:
         ipaddress.ip_address(name)
     except ValueError:
-        return False
+        return _NAME.fullmatch(name) is not None and ("." not in name or name.endswith(_LOCAL_SUFFIXES))
     return True

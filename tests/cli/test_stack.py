@@ -35,10 +35,17 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data folder of `capture2vr up`, as an older version has left it."""
+    folder = tmp_path_factory.mktemp("up")
+    folder.chmod(0o755)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def url(data: Path) -> Iterator[str]:
     """The URL that `capture2vr up` prints."""
     port = free_port()
-    data = tmp_path_factory.mktemp("up")
     command = [sys.executable, "-m", "capture2vr.cli", "up", "--port", str(port), "--data", str(data)]
     environment = {**os.environ, "EDGE_DEVICE": "cpu"}  # a worker that looks for a GPU imports PyTorch
     child = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True, bufsize=1)
@@ -94,6 +101,16 @@ def test_what_was_pushed_can_be_pulled_by_its_key(url: str, disk: Path, tmp_path
     assert again.returncode == 0, again.stderr
     assert (tmp_path / "again" / "lod0.glb").read_bytes() == (tmp_path / "pulled" / "lod0.glb").read_bytes()
     assert again.stderr.count("network") == 1
+
+
+def test_no_other_user_of_the_machine_may_read_what_it_keeps(url: str, disk: Path, data: Path) -> None:
+    """The jobs' database has the secret that signs sessions, and captures are everybody's own."""
+    pushed = capture2vr("push", disk, "--gateway", url, "--key", "mine", "--preset", "draft")
+    assert pushed.returncode == 0, pushed.stderr
+    assert data.stat().st_mode & 0o077 == 0
+    kept = [path for place in ("gateway", "store", "scratch") for path in (data / place).rglob("*")]
+    assert any(path.suffix == ".glb" for path in kept)
+    assert [path for path in kept if path.stat().st_mode & 0o077] == []
 
 
 def test_a_second_push_makes_a_second_version(url: str, disk: Path) -> None:

@@ -149,6 +149,30 @@ async def test_a_body_that_does_not_come_is_not_waited_for(tmp_path: Path, monke
         assert (status, problem["code"]) == (408, "REQUEST_SILENT")
 
 
+async def test_a_body_that_trickles_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A byte at a time, as often as silence allows; chunked, so that no length tells how many come."""
+    monkeypatch.setattr(middleware, "_SILENCE_S", 0.4)
+    async with port(tmp_path) as at, connected(at) as (reader, writer), asyncio.timeout(PATIENCE_S):
+        head = b"POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
+        writer.write(head + b"Transfer-Encoding: chunked\r\nConnection: close\r\n\r\n")
+
+        async def trickle() -> None:
+            while True:
+                writer.write(b"1\r\n{\r\n")
+                await asyncio.sleep(0.1)
+
+        trickling = asyncio.create_task(trickle())
+        status, problem = await answer(reader)
+        trickling.cancel()
+        assert (status, problem["code"]) == (408, "REQUEST_SLOW")
+
+
+async def test_what_does_not_say_that_it_may_be_kept_is_kept_by_nobody(tmp_path: Path) -> None:
+    async with port(tmp_path) as at, connected(at) as (reader, writer), asyncio.timeout(PATIENCE_S):
+        writer.write(b"GET /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert b"cache-control: private, no-store" in (await reader.readuntil(b"\r\n\r\n")).lower()
+
+
 @pytest.mark.slow
 async def test_an_answer_that_nobody_reads_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "_STUCK_S", 0.3)

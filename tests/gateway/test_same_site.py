@@ -41,6 +41,12 @@ def test_a_name_of_the_internet_is_refused_unless_it_is_ours(labels: list[str], 
     assert refusal(SiteRules({"*"}, ()), host=name + port) == ""
 
 
+@given(LABEL, st.sampled_from("\u3002\uff0e\uff61% "), LABEL)
+def test_what_may_be_read_as_a_dot_elsewhere_makes_no_local_name(label: str, dot: str, other: str) -> None:
+    with pytest.raises(Problem, match="host"):
+        RULES.check("GET", Headers(raw=[(b"host", f"{label}{dot}{other}".encode())]))
+
+
 @given(st.ip_addresses(), LABEL, PORT)
 def test_addresses_and_local_names_are_nobodys_on_the_internet(address: object, label: str, port: str) -> None:
     shown = f"[{address}]" if ":" in str(address) else str(address)

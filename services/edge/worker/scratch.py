@@ -15,6 +15,7 @@ import grpc
 
 from capture2vr.edge.worker.checkpoint_files import CheckpointFiles
 from capture2vr.edge.worker.job_request import RefusedError
+from capture2vr.process.private_files import private_folder
 
 _log = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ class Scratch:
     @contextmanager
     def claim(self) -> Iterator[None]:
         """Create and lock this worker's part of the root for the block, and remove the parts of workers that died."""
-        self._root.mkdir(parents=True, exist_ok=True, mode=0o700)
+        private_folder(self._root)
         # Under the root's lock: another worker could take the part for stale between its creation and its locking.
         with ExitStack() as claimed:
             with _lock(self._root):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from capture2vr.process.atomic_write import atomic_write
+from capture2vr.process.private_files import private_folder
 
 _MOST_REPLICAS = 64  # with one data folder; more would rather be an endless restart
 
@@ -51,7 +52,7 @@ def lock_instance(data_dir: Path) -> Iterator[Instance]:
 
     Raises FolderInUse.
     """
-    data_dir.mkdir(parents=True, exist_ok=True)
+    private_folder(data_dir)
     with (data_dir / "gateway.lock").open("a+") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -25,7 +25,7 @@ router = APIRouter(prefix="/v1", tags=["access"])
 _MOST = 1 << 60  # of any limit: what a database's integer holds
 
 Name = Annotated[str, Path(max_length=32, pattern=f"^{TENANT_PATTERN}$", description="Name of a tenant.")]
-Count = Annotated[int, Field(ge=0, le=_MOST)]
+Count = Annotated[int, Field(strict=True, ge=0, le=_MOST)]
 
 
 class TenantRequest(StrictBody):

@@ -39,6 +39,15 @@ async def set_limits(site: TwoTenants, tenant: str, **limits: int) -> None:
     assert {name: answer.json()[name] for name in limits} == limits
 
 
+@pytest.mark.parametrize("limit", [True, 3.5, -1, "many"])
+async def test_a_limit_is_a_whole_number(tmp_path: Path, limit: object) -> None:
+    async with two_tenants(tmp_path, memory()) as site:
+        before = (await site.operator.get("/v1/tenants/ada")).json()
+        answer = await site.operator.put("/v1/tenants/ada/limits", json={"jobs_at_once": limit})
+        assert answer.status_code == 422
+        assert (await site.operator.get("/v1/tenants/ada")).json() == before
+
+
 @pytest.mark.usefixtures("still_limits")
 async def test_requests_a_minute(tmp_path: Path) -> None:
     async with two_tenants(tmp_path, memory()) as site:
