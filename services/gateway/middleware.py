@@ -12,7 +12,6 @@ import re
 import time
 import uuid
 from dataclasses import dataclass, field
-from functools import partial
 from urllib.parse import unquote
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -21,6 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from capture2vr.gateway import browser_permissions
 from capture2vr.gateway.access.api_key import KEY_PATTERN, mask_keys
+from capture2vr.gateway.access.authentication import refused
 from capture2vr.gateway.access.sharing import mask_shares
 from capture2vr.gateway.connections import MAX_HEAD_BYTES, head_too_large
 from capture2vr.gateway.errors import Problem, internal_error
@@ -38,6 +38,7 @@ _UPLOADS = re.compile("/v1/(captures|outlines|uploads(/[^/]*)?)/?")
 _UPLOAD_SILENCE_S = 90.0  # without a byte of a body; uploads have a limit of their own, which names the upload
 _SILENCE_S = 20.0
 _LEAST_BYTES_S = 512  # of a body, whose sender may be silent for as long as that once: a poor mobile line has 5,000
+_ASK_S = 15.0  # between two looks at the key of who sends a long body, or follows a stream
 _CLIENT_CLOSED = 499  # nginx's status for a client that disconnected before its answer; never sent, only counted
 _STREAM = "text/event-stream"
 _HSTS = "max-age=31536000"  # browsers ask by HTTPS for a year; subdomains are not ours to decide over
@@ -59,6 +60,8 @@ class _Exchange:
     streamed: bool = False
     has_body: bool = False  # whether all of the body has been received
     refusal: Problem | None = None  # of the body
+    asked: float = field(default_factory=time.perf_counter)  # when the caller's key was last looked at
+    cut: bool = False  # whether the answer was ended because its caller's key has
 
     async def receive(self, receive: Receive) -> Message:
         """Receive a part of the body. Raises Problem where it does not come in time, or is too large."""
@@ -78,6 +81,14 @@ class _Exchange:
             self.refusal = _too_large(self.limit)
             raise self.refusal
         return message
+
+    async def is_welcome(self, gateway: Gateway, scope: Scope) -> bool:
+        """Return whether the caller's key and session are still good, of which is asked now and then."""
+        now, caller = time.perf_counter(), scope.get("state", {}).get("caller")
+        if caller is None or now - self.asked < _ASK_S:
+            return True
+        self.asked = now
+        return await gateway.access.authentication.is_still(caller)
 
 
 class RequestMiddleware:
@@ -109,7 +120,19 @@ class RequestMiddleware:
         is_upload = _UPLOADS.fullmatch(scope["path"]) is not None
         exchange = _Exchange(self._limit(is_upload), _UPLOAD_SILENCE_S if is_upload else _SILENCE_S)
 
+        async def receive_while_welcome() -> Message:
+            message = await exchange.receive(receive)
+            if not await exchange.is_welcome(gateway, scope):
+                exchange.refusal = refused("KEY_ENDED", say("key_ended_meanwhile"))
+                raise exchange.refusal
+            return message
+
         async def send_with_headers(message: Message) -> None:
+            if exchange.cut:
+                return
+            if exchange.streamed and not await exchange.is_welcome(gateway, scope):
+                exchange.cut = True  # the framework then takes the client for gone, and ends the stream
+                message = {"type": "http.response.body", "body": b"", "more_body": False}
             if message["type"] == "http.response.start":
                 exchange.status = message["status"]
                 await gateway.records.audit.record(scope, identity, exchange.status)
@@ -131,7 +154,7 @@ class RequestMiddleware:
             gateway.access.limits.spend_address(client[0] if client else "")
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
-            await self._app(scope, partial(exchange.receive, receive), send_unless_refused)
+            await self._app(scope, receive_while_welcome, send_unless_refused)
             if exchange.refusal and not exchange.status:
                 raise exchange.refusal
         except Problem as problem:

@@ -191,7 +191,7 @@ class _InDatabase:
             raise _unknown(key)
         if why := old.refusal(time.time()):
             raise BadInput(f"the key {key} is {why}: create a new one")
-        new, secret = self._store.create_key(old.tenant, old.scopes, label=old.label, expires=old.expires)
+        new, secret = self._store.create_key(old.tenant, old.scopes, label=old.label, expires=old.expires, replaces=old)
         self._store.expire_key(key, None, time.time() + grace_days * _DAY_S)
         return {**_document(new), "secret": secret}
 

@@ -30,6 +30,7 @@ class ApiKey:
     expires    the key is refused from then on; None: never
     last_used  to within a minute; None: never
     revoked    when it was revoked, or None
+    parent     id of the key that the device was paired with, which ends this one too; None: of a key of its own
     """
 
     id: str
@@ -41,6 +42,7 @@ class ApiKey:
     expires: float | None = None
     last_used: float | None = None
     revoked: float | None = None
+    parent: str | None = None
 
     def refusal(self, now: float) -> str:
         """Return why the key is refused now: "revoked" or "expired"; "" where it is good."""

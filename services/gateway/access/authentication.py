@@ -58,6 +58,7 @@ class Authentication:
         self._threads = ThreadPoolExecutor(_THREADS, "access")
         self._by_hash: TTLCache[str, ApiKey | None] = TTLCache(_CACHED_KEYS, CACHE_S)
         self._by_id: TTLCache[str, ApiKey | None] = TTLCache(_CACHED_KEYS, CACHE_S)
+        self._ended: TTLCache[str, bool] = TTLCache(_CACHED_KEYS, CACHE_S)
         self._keyless_until = 0.0
         self._last_used: dict[str, float] = {}
         self._secrets: dict[str, str] = {}
@@ -82,8 +83,27 @@ class Authentication:
             return self._used(key, Caller(key.tenant, key.scopes, "key", key.id))
         if cookie:
             key = await self._session_key(cookie)
-            return self._used(key, Caller(key.tenant, key.scopes, "session", key.id))
+            return self._used(key, Caller(key.tenant, key.scopes, "session", key.id, hash_of(cookie)))
         return _EVERYBODY if await self.is_open() else ANONYMOUS
+
+    async def is_still(self, caller: Caller) -> bool:
+        """Return whether who began a long answer, or a long body, may still go on."""
+        if not caller.key:
+            return True
+        if caller.session and await self._has_ended(caller.session):
+            return False
+        key = await self._cached(self._by_id, caller.key, self.store.key)
+        return key is not None and not key.refusal(time.time())
+
+    async def end_session(self, cookie: str) -> None:
+        """End the session of a cookie, of which there may be copies."""
+        try:
+            (await self._serializer()).loads(cookie, max_age=SESSION_S)
+        except BadSignature:
+            return  # it is none, and is not kept
+        sha256 = hash_of(cookie)
+        await self.run(lambda: self.store.sessions.end(sha256, time.time() + SESSION_S))
+        self._ended[sha256] = True
 
     async def is_open(self) -> bool:
         """Return whether everybody is let in without a key."""
@@ -154,11 +174,19 @@ class Authentication:
             key_id = str((await self._serializer()).loads(cookie, max_age=SESSION_S))
         except BadSignature:  # altered, signed by another service, or too old
             raise refused("SESSION_INVALID", say("session_cookie_not_valid"), say("log_in_again")) from None
+        if await self._has_ended(hash_of(cookie)):
+            raise refused("SESSION_ENDED", say("session_was_logged_out"), say("log_in_again"))
         found = await self._cached(self._by_id, key_id, self.store.key)
         try:
             return _accepted(found)
         except Problem as problem:
             raise refused("SESSION_ENDED", say("session_has_ended", why=problem.detail), say("log_in_again")) from None
+
+    async def _has_ended(self, sha256: str) -> bool:
+        ended = self._ended.get(sha256)
+        if ended is None:
+            ended = self._ended[sha256] = await self.run(lambda: self.store.sessions.has_ended(sha256))
+        return ended
 
     async def _cached(
         self, cache: TTLCache[str, ApiKey | None], name: str, read: Callable[[str], ApiKey | None]

@@ -29,6 +29,7 @@ class Caller:
     """The author of a request.
 
     key  id of the access key; "" where there is none
+    session  hash of the browser's cookie; "" for a caller without one
     via  open: the gateway asks for no keys; key: a key in the header; session: a browser's cookie; anonymous: none
     """
 
@@ -36,6 +37,7 @@ class Caller:
     scopes: frozenset[Scope]
     via: Literal["open", "key", "session", "anonymous"]
     key: str = ""
+    session: str = ""
 
 
 def parse_scopes(names: Iterable[str]) -> frozenset[Scope]:

@@ -20,6 +20,7 @@ class Pairing:
 
     key_expires  when that key expires; None: never
     key          id of the key, once it has been claimed; else ""
+    parent       id of the key that began it, without which it cannot be claimed; None at a gateway without keys
     """
 
     id: str
@@ -30,6 +31,7 @@ class Pairing:
     expires: float
     key_expires: float | None
     key: str
+    parent: str | None = None
 
 
 def find_pairing(db: Connection, which: sa.ColumnElement[bool], *, lock: bool = False) -> Pairing | None:

@@ -9,14 +9,15 @@ import secrets as random
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import IntegrityError
 
 from capture2vr.gateway.access.api_key import KEY_PATTERN, ApiKey, hash_of, new_secret
-from capture2vr.gateway.access.caller import Scope, parse_scopes, scope_names
+from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.ended_sessions import EndedSessions
+from capture2vr.gateway.access.key_rows import ID_BYTES, insert_key, is_good, join_scopes, key_from
 from capture2vr.gateway.access.pairing import Pairing, find_pairing, free_code, pairing_from
 from capture2vr.gateway.access.tables import api_keys, pairings, secrets, tenants, usage
 from capture2vr.gateway.database.database import for_writing, upsert
@@ -25,7 +26,6 @@ from capture2vr.storage.tenant_store import check_tenant
 
 PAIRING_S = 300.0
 """Seconds in which a pairing can be claimed: a minute to fetch the headset, and some to type."""
-_ID_BYTES = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +43,7 @@ class AccessStore:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._writer = for_writing(engine)
+        self.sessions = EndedSessions(engine)
 
     def has_keys(self) -> bool:
         """Return whether a key was ever created: from then on the gateway asks for keys, even if all were revoked."""
@@ -135,7 +136,7 @@ class AccessStore:
             return known
         try:
             with self._writer.begin() as db:
-                return _insert_key(db, found["tenant"], frozenset(Scope), label, None, secret)
+                return insert_key(db, found["tenant"], frozenset(Scope), label, None, secret)
         except IntegrityError:  # another gateway was faster
             known = self.key_by_hash(hash_of(secret))
             if known is None:
@@ -143,22 +144,34 @@ class AccessStore:
             return known
 
     def create_key(
-        self, tenant: str, scopes: Iterable[Scope], *, label: str = "", expires: float | None = None
+        self,
+        tenant: str,
+        scopes: Iterable[Scope],
+        *,
+        label: str = "",
+        expires: float | None = None,
+        replaces: ApiKey | None = None,
     ) -> tuple[ApiKey, str]:
-        """Create a key of an existing tenant; return it and its secret, which is shown once and stored nowhere."""
+        """Create a key of an existing tenant; return it and its secret, which is shown once and stored nowhere.
+
+        replaces  a key whose place it takes: what was paired with that one ends with this one
+        """
         secret = new_secret(tenant)
         with self._writer.begin() as db:
-            return _insert_key(db, tenant, scopes, label, expires, secret), secret
+            key = insert_key(db, tenant, scopes, label, expires, secret, replaces and replaces.parent)
+            for table in (api_keys, pairings) if replaces else ():
+                db.execute(table.update().where(table.c.parent == replaces.id).values(parent=key.id))
+            return key, secret
 
     def key_by_hash(self, sha256: str) -> ApiKey | None:
         """Return the key with this hash, or None."""
         with self._engine.begin() as db:
-            return _key_from(db.execute(sa.select(api_keys).where(api_keys.c.sha256 == sha256)).first())
+            return key_from(db.execute(sa.select(api_keys).where(api_keys.c.sha256 == sha256)).first())
 
     def key(self, key_id: str) -> ApiKey | None:
         """Return the key with this id, or None."""
         with self._engine.begin() as db:
-            return _key_from(db.execute(sa.select(api_keys).where(api_keys.c.id == key_id)).first())
+            return key_from(db.execute(sa.select(api_keys).where(api_keys.c.id == key_id)).first())
 
     def list_keys(self, tenant: str | None, *, limit: int, after: str = "") -> list[ApiKey]:
         """Return at most `limit` keys of a tenant, or of all for None, whose ids sort behind `after`."""
@@ -167,16 +180,20 @@ class AccessStore:
             select = select.where(api_keys.c.tenant == tenant)
         with self._engine.begin() as db:
             rows = db.execute(select.order_by(api_keys.c.id).limit(limit)).all()
-        return [key for row in rows if (key := _key_from(row))]
+        return [key for row in rows if (key := key_from(row))]
 
     def revoke_key(self, key_id: str, tenant: str | None) -> ApiKey | None:
-        """Revoke a key of a tenant, or of any for None; return it, or None where there is no such key. Idempotent."""
+        """Revoke a key of a tenant, or of any for None, and all that were paired with it, or with these; return it, or
+        None where there is no such key. Idempotent."""
         mine = api_keys.c.id == key_id
         if tenant is not None:
             mine = sa.and_(mine, api_keys.c.tenant == tenant)
         with self._writer.begin() as db:
-            db.execute(api_keys.update().where(mine, api_keys.c.revoked.is_(None)).values(revoked=time.time()))
-            return _key_from(db.execute(sa.select(api_keys).where(mine)).first())
+            below = sa.select(api_keys.c.id).where(mine).cte(recursive=True)
+            below = below.union(sa.select(api_keys.c.id).where(api_keys.c.parent == below.c.id))
+            ended = api_keys.c.id.in_(sa.select(below.c.id))
+            db.execute(api_keys.update().where(ended, api_keys.c.revoked.is_(None)).values(revoked=time.time()))
+            return key_from(db.execute(sa.select(api_keys).where(mine)).first())
 
     def expire_key(self, key_id: str, tenant: str | None, at: float) -> None:
         """Let a key expire at this time, unless it expires earlier."""
@@ -194,23 +211,27 @@ class AccessStore:
                 db.execute(api_keys.update().where(api_keys.c.id == key_id, earlier).values(last_used=at))
 
     def create_pairing(
-        self, tenant: str, scopes: Iterable[Scope], *, label: str, key_expires: float | None
+        self, tenant: str, scopes: Iterable[Scope], *, label: str, key_expires: float | None, parent: str = ""
     ) -> tuple[Pairing, str]:
-        """Create a pairing; return it, with its code of six digits, and its token. No two at a time have one code."""
+        """Create a pairing; return it, with its code of six digits, and its token. No two at a time have one code.
+
+        parent  id of the key that begins it
+        """
         token, now = random.token_urlsafe(32), time.time()
         with self._writer.begin() as db:
             db.execute(pairings.delete().where(pairings.c.expires < now, pairings.c.key.is_(None)))
             taken = set(db.execute(sa.select(pairings.c.code).where(pairings.c.expires >= now)).scalars())
             values = {
-                "id": f"pair_{random.token_hex(_ID_BYTES)}",
+                "id": f"pair_{random.token_hex(ID_BYTES)}",
                 "tenant": tenant,
                 "label": label,
-                "scopes": _join(scopes),
+                "scopes": join_scopes(scopes),
                 "token_sha256": hash_of(token),
                 "code": free_code(taken),
                 "expires": now + PAIRING_S,
                 "key_expires": key_expires,
                 "key": None,
+                "parent": parent or None,
             }
             db.execute(pairings.insert().values(values))
             return pairing_from(values), token
@@ -223,17 +244,18 @@ class AccessStore:
     def claim_pairing(self, *, token: str = "", code: str = "") -> tuple[ApiKey, str] | None:
         """Claim a pairing by its token or its code: create its key and return it with its secret.
 
-        None where there is no such pairing, or it has expired or been claimed: each can be claimed once.
+        None where there is no such pairing, it has expired or been claimed, or the key that began it has ended: each
+        can be claimed once.
         """
         wanted = pairings.c.token_sha256 == hash_of(token) if token else pairings.c.code == code
         now = time.time()
         with self._writer.begin() as db:
             open_ones = sa.and_(wanted, pairings.c.expires > now, pairings.c.key.is_(None))
             found = find_pairing(db, open_ones, lock=True)
-            if found is None:
+            if found is None or (found.parent and not is_good(db, found.parent, now)):
                 return None
             secret = new_secret(found.tenant)
-            key = _insert_key(db, found.tenant, found.scopes, found.label, found.key_expires, secret)
+            key = insert_key(db, found.tenant, found.scopes, found.label, found.key_expires, secret, found.parent)
             db.execute(pairings.update().where(pairings.c.id == found.id).values(key=key.id))
             return key, secret
 
@@ -256,29 +278,3 @@ class AccessStore:
 def _tenant(db: Connection, name: str) -> Tenant | None:
     row = db.execute(sa.select(tenants).where(tenants.c.name == name)).first()
     return Tenant(row.name, row.label, row.created) if row else None
-
-
-def _insert_key(
-    db: Connection, tenant: str, scopes: Iterable[Scope], label: str, expires: float | None, secret: str
-) -> ApiKey:
-    key = ApiKey(
-        # Ids begin with the time of creation, so that lists are in its order.
-        id=f"key_{int(time.time() * 1000):012x}{random.token_hex(_ID_BYTES)}",
-        tenant=tenant,
-        label=label,
-        sha256=hash_of(secret),
-        scopes=frozenset(scopes),
-        created=time.time(),
-        expires=expires,
-    )
-    values = {column.name: getattr(key, column.name) for column in api_keys.c}
-    db.execute(api_keys.insert().values({**values, "scopes": _join(key.scopes)}))
-    return key
-
-
-def _key_from(row: sa.Row[Any] | None) -> ApiKey | None:
-    return ApiKey(**{**row._mapping, "scopes": parse_scopes(row.scopes.split())}) if row else None
-
-
-def _join(scopes: Iterable[Scope]) -> str:
-    return " ".join(scope_names(scopes))

@@ -36,6 +36,7 @@ api_keys = sa.Table(
     sa.Column("expires", sa.Double),
     sa.Column("last_used", sa.Double),
     sa.Column("revoked", sa.Double),
+    sa.Column("parent", sa.String(32), index=True),
 )
 
 pairings = sa.Table(
@@ -50,6 +51,14 @@ pairings = sa.Table(
     sa.Column("expires", sa.Double, nullable=False),
     sa.Column("key_expires", sa.Double),
     sa.Column("key", sa.ForeignKey("api_keys.id")),
+    sa.Column("parent", sa.String(32)),
+)
+
+ended_sessions = sa.Table(
+    "ended_sessions",
+    metadata,
+    sa.Column("sha256", sa.String(64), primary_key=True),
+    sa.Column("until", sa.Double, nullable=False),
 )
 
 shares = sa.Table(

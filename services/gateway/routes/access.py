@@ -11,7 +11,7 @@ from urllib.parse import urljoin
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from capture2vr.gateway.access.api_key import ENDED, ApiKey
+from capture2vr.gateway.access.api_key import ENDED, ApiKey, hash_of
 from capture2vr.gateway.access.authentication import Authentication
 from capture2vr.gateway.access.caller import Caller, Scope, scope_names
 from capture2vr.gateway.access.pairing import Pairing
@@ -156,8 +156,10 @@ async def log_in(body: LoginRequest, request: Request, gateway: GatewayOf, respo
 
 
 @router.delete("/session", status_code=204, dependencies=[ANYONE])
-async def log_out(request: Request) -> Response:
-    """Log a browser out. Its key stays good elsewhere."""
+async def log_out(request: Request, gateway: GatewayOf) -> Response:
+    """Log a browser out: copies of its cookie are refused, too. Its key stays good elsewhere."""
+    if cookie := request.cookies.get(SESSION_COOKIE):
+        await gateway.access.authentication.end_session(cookie)
     response = Response(status_code=204)
     response.delete_cookie(SESSION_COOKIE, path="/", httponly=True, samesite="lax")
     response.delete_cookie(TENANT_COOKIE, path="/", samesite="lax")
@@ -179,7 +181,7 @@ async def create_pairing(body: PairingRequest, request: Request, gateway: Gatewa
     expires = await _latest(authentication, caller, time.time() + body.expires_days * _DAY_S)
     store, label = authentication.store, body.label or "paired device"
     pairing, token = await authentication.run(
-        lambda: store.create_pairing(caller.tenant, body.scopes, label=label, key_expires=expires)
+        lambda: store.create_pairing(caller.tenant, body.scopes, label=label, key_expires=expires, parent=caller.key)
     )
     # In the fragment, which browsers send to no server: it stands in no log.
     url = urljoin(gateway_url(request), f"pair#{token}")
@@ -266,8 +268,12 @@ async def list_keys(
     responses=problems(404, 422),
 )
 async def revoke_key(key: KeyId, request: Request, gateway: GatewayOf) -> KeyView:
-    """Revoke an access key: within a minute it is refused everywhere, and its browser sessions end."""
+    """Revoke an access key that allows no more than the caller's own: within a minute it is refused everywhere, its
+    browser sessions and open streams end, and so do the devices that were paired with it."""
     caller, authentication = caller_of(request), gateway.access.authentication
+    known = await authentication.run(lambda: authentication.store.key(key))
+    if known is not None and _reach(caller) in (None, known.tenant):
+        _require_own_scopes(caller, known.scopes)
     revoked = await authentication.run(lambda: authentication.store.revoke_key(key, _reach(caller)))
     if revoked is None:
         raise _unknown_key(key)
@@ -295,17 +301,22 @@ async def rotate_key(key: KeyId, body: RotationRequest, request: Request, gatewa
             409, f"KEY_{why.upper()}", say("key_has_ended", key=key, why=ENDED[why]), hints=(say("create_new_key"),)
         )
     expires = await _latest(authentication, caller, old.expires)
-    new = await _new_key(authentication, old.tenant, old.scopes, old.label, expires)
+    new = await _new_key(authentication, old.tenant, old.scopes, old.label, expires, replaces=old)
     await authentication.run(lambda: store.expire_key(key, old.tenant, time.time() + body.grace_days * _DAY_S))
     authentication.forget(old)
     return new
 
 
 async def _new_key(
-    authentication: Authentication, tenant: str, scopes: Iterable[Scope], label: str, expires: float | None
+    authentication: Authentication,
+    tenant: str,
+    scopes: Iterable[Scope],
+    label: str,
+    expires: float | None,
+    replaces: ApiKey | None = None,
 ) -> NewKeyView:
     key, secret = await authentication.run(
-        lambda: authentication.store.create_key(tenant, scopes, label=label, expires=expires)
+        lambda: authentication.store.create_key(tenant, scopes, label=label, expires=expires, replaces=replaces)
     )
     return NewKeyView(**_key_fields(key), secret=secret)
 
@@ -325,7 +336,7 @@ async def _set_session(key: ApiKey, request: Request, response: Response) -> Cal
     )
     # Pages name their caches by it, also without the server. It grants nothing.
     response.set_cookie(TENANT_COOKIE, key.tenant, max_age=seconds, path="/", secure=secure, samesite="lax")
-    request.state.caller = caller = Caller(key.tenant, key.scopes, "session", key.id)
+    request.state.caller = caller = Caller(key.tenant, key.scopes, "session", key.id, hash_of(cookie))
     return caller
 
 
