@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.referees.s3.server import S3Server, program, running
-from tests.support.photos.small_pictures import draw_small
+from tests.support.photos.small_pictures import compute_with, draw_small
 from tests.support.repository import ROOT
 
 pytest_plugins = [
@@ -62,6 +62,7 @@ def small_pictures() -> Iterator[None]:
     """Small pictures in a module that looks at none."""
     with pytest.MonkeyPatch.context() as patch:
         draw_small(patch)
+        compute_with(patch, "tests.support.workers.small_job")
         yield
 
 

@@ -12,6 +12,7 @@ import re
 import time
 import uuid
 from dataclasses import dataclass, field
+from functools import partial
 from urllib.parse import unquote
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -51,6 +52,8 @@ _log = logging.getLogger("capture2vr.gateway.requests")
 class _Exchange:
     """State of one request and its answer while they are processed."""
 
+    gateway: Gateway
+    scope: Scope
     limit: int
     silence_s: float
     began: float = field(default_factory=time.perf_counter)
@@ -64,7 +67,7 @@ class _Exchange:
     cut: bool = False  # whether the answer was ended because its caller's key has
 
     async def receive(self, receive: Receive) -> Message:
-        """Receive a part of the body. Raises Problem where it does not come in time, or is too large."""
+        """Receive a part of the body. Raises Problem where it does not come in time, is too large, or its key ended."""
         began = time.perf_counter()
         left = self.silence_s + self.received / _LEAST_BYTES_S - self.waited
         try:
@@ -80,15 +83,27 @@ class _Exchange:
         if self.received > self.limit:
             self.refusal = _too_large(self.limit)
             raise self.refusal
+        if message["type"] == "http.request" and not await self._is_welcome():
+            self.refusal = refused("KEY_ENDED", say("key_ended_meanwhile"))
+            raise self.refusal
         return message
 
-    async def is_welcome(self, gateway: Gateway, scope: Scope) -> bool:
+    async def send_streamed(self, send: Send, message: Message) -> None:
+        """Send a part of a stream; where its caller's key has ended, its end, and nothing more."""
+        if self.cut:
+            return
+        if not await self._is_welcome():
+            self.cut = True  # the framework then takes the client for gone, and ends the stream
+            message = {"type": "http.response.body", "body": b"", "more_body": False}
+        await send(message)
+
+    async def _is_welcome(self) -> bool:
         """Return whether the caller's key and session are still good, of which is asked now and then."""
-        now, caller = time.perf_counter(), scope.get("state", {}).get("caller")
+        now, caller = time.perf_counter(), self.scope.get("state", {}).get("caller")
         if caller is None or now - self.asked < _ASK_S:
             return True
         self.asked = now
-        return await gateway.access.authentication.is_still(caller)
+        return await self.gateway.access.authentication.is_still(caller)
 
 
 class RequestMiddleware:
@@ -118,21 +133,13 @@ class RequestMiddleware:
     async def _handle(self, scope: Scope, receive: Receive, send: Send, headers: Headers, identity: str) -> None:
         gateway = gateway_in(scope["app"])
         is_upload = _UPLOADS.fullmatch(scope["path"]) is not None
-        exchange = _Exchange(self._limit(is_upload), _UPLOAD_SILENCE_S if is_upload else _SILENCE_S)
-
-        async def receive_while_welcome() -> Message:
-            message = await exchange.receive(receive)
-            if not await exchange.is_welcome(gateway, scope):
-                exchange.refusal = refused("KEY_ENDED", say("key_ended_meanwhile"))
-                raise exchange.refusal
-            return message
+        silence_s = _UPLOAD_SILENCE_S if is_upload else _SILENCE_S
+        exchange = _Exchange(gateway, scope, self._limit(is_upload), silence_s)
 
         async def send_with_headers(message: Message) -> None:
-            if exchange.cut:
+            if exchange.streamed:
+                await exchange.send_streamed(send, message)
                 return
-            if exchange.streamed and not await exchange.is_welcome(gateway, scope):
-                exchange.cut = True  # the framework then takes the client for gone, and ends the stream
-                message = {"type": "http.response.body", "body": b"", "more_body": False}
             if message["type"] == "http.response.start":
                 exchange.status = message["status"]
                 await gateway.records.audit.record(scope, identity, exchange.status)
@@ -154,7 +161,7 @@ class RequestMiddleware:
             gateway.access.limits.spend_address(client[0] if client else "")
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
-            await self._app(scope, receive_while_welcome, send_unless_refused)
+            await self._app(scope, partial(exchange.receive, receive), send_unless_refused)
             if exchange.refusal and not exchange.status:
                 raise exchange.refusal
         except Problem as problem:

@@ -91,8 +91,7 @@ class _Server:
             for key, _ in self._selector.select():
                 if key.data is None:
                     if not self._receive():
-                        for running in self._running:
-                            running.kill()
+                        self._end_all()
                         return
                 elif key.data.process is None:
                     continue  # its end came in this same round, and its descriptors are closed
@@ -144,6 +143,15 @@ class _Server:
             _send(running.channel, {"ended": os.waitstatus_to_exitcode(status)})
         self._running.remove(running)
         running.close()
+
+    def _end_all(self) -> None:
+        """Kill what runs, and what that has started."""
+        for running in self._running:
+            running.kill()
+            if running.process is not None:
+                os.waitpid(running.process, 0)
+                running.process = None
+        self._kill_orphans()
 
     def _kill_orphans(self) -> None:
         """Kill what a process had started that has ended, and what that had started: they are this server's now."""

@@ -37,6 +37,7 @@ from capture2vr.storage.bundle import Bundle, FilesOnDisk, State
 
 _log = logging.getLogger(__name__)
 
+_MODULE = "capture2vr.edge.jobs.job_work"  # whose `work` a job's process runs
 _STATES: Mapping[str, State] = {"preview": "preview", "refined": "refined"}
 
 
@@ -89,7 +90,7 @@ class JobProcesses:
         self, server: ForkServer | None = None, watch: MemoryWatch | None = None, most_seconds: float = math.inf
     ) -> None:
         self._most_seconds = most_seconds
-        self._server = server or ForkServer.of("capture2vr.edge.jobs.job_work", threads=True)
+        self._server = server or ForkServer.of(_MODULE, threads=True)
         self._watch = watch or MemoryWatch()
 
     def start(self) -> None:
@@ -121,7 +122,7 @@ class JobProcess:
         self._task, self._report, self._watch = task, report, watch
         self._most_seconds, self._began = most_seconds, time.monotonic()
         self._kills = own_control_group().oom_kills
-        self._last = pb.Progress(stage=pb.VALIDATING)
+        self._last = pb.Progress()  # no news yet
         self.number = 0
 
     def tick(self, _: float) -> None:
@@ -195,7 +196,7 @@ class JobProcess:
         _log.warning("job %s: its process ended with status %d", self._task.job, status)
         if status == -signal.SIGKILL:
             return _out_of_memory() if own_control_group().oom_kills > self._kills else _lost()
-        return reader_ended(status) if self._last.stage == pb.VALIDATING else _lost()
+        return reader_ended(status) if self._last.stage <= pb.VALIDATING else _lost()
 
     def _bundle(self, said: Mapping[str, Any]) -> Bundle:
         """The bundle that the process has handed over."""

@@ -26,7 +26,7 @@ from capture2vr.edge.engine.address import engine_for_parts
 from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.jobs.job_task import BUNDLE, MANIFEST, JobTask, on_wire
 from capture2vr.edge.jobs.points_archive import read_prepared
-from capture2vr.edge.jobs.points_cache import load_points, save_points
+from capture2vr.edge.jobs.points_cache import has_points, load_points, save_points
 from capture2vr.edge.jobs.reading_limits import limited_reading
 from capture2vr.edge.jobs.unpack_capture import unpack_capture
 from capture2vr.edge.pipeline import PreviewKept, bundles
@@ -74,7 +74,8 @@ class _Job:
         """Run the job to its end; return the seconds that reading the archive took."""
         task = self._task
         prepared, seconds = None, 0.0
-        if task.saves:
+        if task.saves and has_points(task.checkpoint):
+            self._send_progress(coded_progress(say("reading", what=say("word_points")), stage=pb.POINT_CLOUD))
             prepared = load_points(task.checkpoint, task.scratch / "kept")
         if prepared is None:
             prepared, seconds = self._prepared()

@@ -24,9 +24,14 @@ def save_points(prepared: PreparedPoints, checkpoint: Path) -> Path:
     return archive
 
 
+def has_points(checkpoint: Path) -> bool:
+    """Return whether a lease of the job saved points."""
+    return any(_archives(checkpoint))
+
+
 def load_points(checkpoint: Path, scratch: Path) -> PreparedPoints | None:
     """Load the points that the newest lease of the job saved, unpacked into `scratch`; None where none can be read."""
-    archives = [path for path in checkpoint.parent.glob(f"*{_SUFFIX}") if path.stem.isdecimal()]
+    archives = _archives(checkpoint)
     if not archives:
         return None
     newest = max(archives, key=lambda path: int(path.stem))
@@ -35,3 +40,7 @@ def load_points(checkpoint: Path, scratch: Path) -> PreparedPoints | None:
     except (EdgeError, OSError) as error:  # of another version, or removed with the lease that wrote it
         _log.warning("the saved points in %s cannot be read and are made again: %s", newest, error)
         return None
+
+
+def _archives(checkpoint: Path) -> list[Path]:
+    return [path for path in checkpoint.parent.glob(f"*{_SUFFIX}") if path.stem.isdecimal()]

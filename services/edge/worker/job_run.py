@@ -27,8 +27,9 @@ from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
 _log = logging.getLogger(__name__)
 
 Report = Callable[[Update], None]
-"""Callback with which the work reports progress, anchor points and published bundles, several times a second. Raises
-`Cancelled` once the job is cancelled, `JobReturned` when this worker shuts down."""
+"""Callback with which the work reports progress, anchor points and published bundles, several times a second; where it
+has no news, an empty `Progress`. Raises `Cancelled` once the job is cancelled, `JobReturned` when this worker shuts
+down."""
 
 PROGRESS_APART_S = 0.25
 """Least seconds between two progress events of one stage: the work reports more often than people can read."""
@@ -162,7 +163,9 @@ class JobRun:
             self.log.add(update)
 
     def _is_redundant(self, progress: pb.Progress) -> bool:
-        """Return whether to skip a progress report: it repeats the last one, or follows it too soon."""
+        """Return whether to skip a progress report: it says nothing, repeats the last one, or follows it too soon."""
+        if progress == pb.Progress():
+            return True
         now = time.monotonic()
         if self._last is not None:
             last, reported_at = self._last

@@ -24,7 +24,8 @@ INSPECT = """
 import os, sys, traceback
 from pathlib import Path
 from capture2vr.edge.read_capture import read_capture
-from capture2vr.edge.jobs.inspect_capture import inspect, unpack_capture
+from capture2vr.edge.jobs.inspection_work import inspect
+from capture2vr.edge.jobs.unpack_capture import unpack_capture
 
 def answer(archive, scratch):
     found = inspect(unpack_capture(archive, scratch), None)

@@ -89,13 +89,15 @@ async def test_a_copied_cookie_ends_with_its_session_and_no_other_does(tmp_path:
 
 async def test_nobody_revokes_what_may_more(tmp_path: Path) -> None:
     operating = make_key(tmp_path / "gw", "ada")
-    async with two_tenants(tmp_path, memory()) as site:
-        async with httpx.AsyncClient(base_url=site.url, headers=bearer(operating)) as owner:
-            key = await own_key(owner)
-            for way in ("revoke", "rotate"):
-                answer = await site.ada.post(f"/v1/api-keys/{key}/{way}", json={})
-                assert await code_of(answer) == (403, "SCOPE_MISSING")
-            assert (await owner.get("/v1/jobs")).status_code == 200
+    async with (
+        two_tenants(tmp_path, memory()) as site,
+        httpx.AsyncClient(base_url=site.url, headers=bearer(operating)) as owner,
+    ):
+        key = await own_key(owner)
+        for way in ("revoke", "rotate"):
+            answer = await site.ada.post(f"/v1/api-keys/{key}/{way}", json={})
+            assert await code_of(answer) == (403, "SCOPE_MISSING")
+        assert (await owner.get("/v1/jobs")).status_code == 200
 
 
 @pytest.mark.usefixtures("asked_often")

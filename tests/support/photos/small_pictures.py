@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import importlib
+import os
 from functools import partial
 
 import pytest
 
+from tests.support.repository import ROOT
+
 TEXTURE_SIDE = 256
+
+
+def compute_with(patch: pytest.MonkeyPatch, module: str) -> None:
+    """Let the processes of the jobs that this process starts run the `work` of a module of the tests."""
+    patch.setattr("capture2vr.edge.jobs.job_process._MODULE", module)
+    found = os.environ.get("PYTHONPATH", "")
+    patch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{found}" if found else str(ROOT))
 
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:

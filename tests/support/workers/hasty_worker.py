@@ -8,11 +8,9 @@ from __future__ import annotations
 import pytest
 
 from capture2vr.cli.main import main
-from capture2vr.edge.field import checkpoint
-from tests.support.photos.small_pictures import draw_small
+from tests.support.photos.small_pictures import compute_with
 
 if __name__ == "__main__":
     with pytest.MonkeyPatch.context() as patch:
-        draw_small(patch)
-        patch.setattr(checkpoint, "SECONDS", 0.5)
+        compute_with(patch, "tests.support.workers.hasty_job")
         main()
