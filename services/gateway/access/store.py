@@ -158,8 +158,10 @@ class AccessStore:
         """
         secret = new_secret(tenant)
         with self._writer.begin() as db:
-            key = insert_key(db, tenant, scopes, label, expires, secret, replaces and replaces.parent)
-            for table in (api_keys, pairings) if replaces else ():
+            if replaces is None:
+                return insert_key(db, tenant, scopes, label, expires, secret), secret
+            key = insert_key(db, tenant, scopes, label, expires, secret, replaces.parent)
+            for table in (api_keys, pairings):
                 db.execute(table.update().where(table.c.parent == replaces.id).values(parent=key.id))
             return key, secret
 
