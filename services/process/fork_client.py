@@ -35,7 +35,7 @@ class ForkServer:
         threads  whether libraries may use several threads, as in this process, and the GPU's and Ray's variables count
         """
         self._program = program
-        self._variables = variables_of_computing() if threads else _ONE_THREAD
+        self._variables = _variables_of_computing() if threads else _ONE_THREAD
         self._server: _RunningServer | None = None
         self._lock = threading.Lock()
 
@@ -74,7 +74,7 @@ class ForkServer:
         return self._server
 
 
-def variables_of_computing() -> dict[str, str]:
+def _variables_of_computing() -> dict[str, str]:
     """Return those of this process's variables by which libraries compute: their threads, GPUs and clusters."""
     return {name: value for name, value in os.environ.items() if name.startswith(_OF_COMPUTING)}
 
