@@ -26,6 +26,7 @@ class ForkedTalk:
         self._channel, self._tick = channel, tick
         self._leash: int | None = leash
         self._deadline = time.monotonic() + within_s
+        self._ticked = 0.0
         self._read = bytearray()
         channel.settimeout(_POLL_S)
 
@@ -60,14 +61,16 @@ class ForkedTalk:
     def _line(self) -> bytes | None:
         """The next line; None where the other end has closed."""
         while (end := self._read.find(b"\n")) < 0:
-            if time.monotonic() > self._deadline or len(self._read) > _MOST_LINE_BYTES:
+            if (now := time.monotonic()) - self._ticked >= _POLL_S:  # also while a process talks without a pause
+                self._ticked = now
+                self._tick(0.5)  # how far it is nobody knows
+            if now > self._deadline or len(self._read) > _MOST_LINE_BYTES:
                 self.kill()
                 self._read.clear()
                 self._deadline = math.inf
             try:
                 block = self._channel.recv(1 << 16)
             except TimeoutError:
-                self._tick(0.5)  # how far it is nobody knows
                 continue
             except ConnectionError:  # killed before it had read its order
                 return None

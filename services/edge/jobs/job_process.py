@@ -27,7 +27,7 @@ from capture2vr.edge.jobs.forked_talk import ForkedTalk, talking
 from capture2vr.edge.jobs.job_task import BUNDLE, MANIFEST, JobTask, off_wire
 from capture2vr.edge.jobs.reading_limits import reader_ended
 from capture2vr.edge.worker.control_group import own_control_group
-from capture2vr.edge.worker.failures import error_of
+from capture2vr.edge.worker.failures import error_of, out_of_memory
 from capture2vr.edge.worker.job_run import Report
 from capture2vr.edge.worker.memory_watch import MemoryWatch
 from capture2vr.process.fork_client import ForkServer
@@ -129,7 +129,7 @@ class JobProcess:
         """Report again, which raises when the job is cancelled. Raises OUT_OF_MEMORY and JOB_TOO_LONG."""
         self._report(self._last)
         if self._watch.is_too_large(self.number):
-            raise _out_of_memory()
+            raise out_of_memory()
         if time.monotonic() - self._began > self._most_seconds:
             message, hints = say("job_took_longer", seconds=self._most_seconds), (say("choose_coarser_preset"),)
             raise EdgeError("JOB_TOO_LONG", message, hints=hints)
@@ -195,7 +195,7 @@ class JobProcess:
         """The error of a process that has ended before its job had."""
         _log.warning("job %s: its process ended with status %d", self._task.job, status)
         if status == -signal.SIGKILL:
-            return _out_of_memory() if own_control_group().oom_kills > self._kills else _lost()
+            return out_of_memory() if own_control_group().oom_kills > self._kills else _lost()
         return reader_ended(status) if self._last.stage <= pb.VALIDATING else _lost()
 
     def _bundle(self, said: Mapping[str, Any]) -> Bundle:
@@ -220,11 +220,6 @@ def _inside(path: Path, folder: Path) -> Path:
 
 def _seconds(said: Mapping[str, Any]) -> dict[str, float]:
     return {str(stage): float(seconds) for stage, seconds in said.items()}
-
-
-def _out_of_memory() -> EdgeError:
-    hints = (say("choose_coarser_preset"), say("send_fewer_frames_points"))
-    return EdgeError("OUT_OF_MEMORY", say("worker_has_too_little_memory"), hints=hints)
 
 
 def _lost() -> EdgeError:

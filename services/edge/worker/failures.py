@@ -33,11 +33,7 @@ def failure_of(error: BaseException, *, job: str, scratch: Path) -> pb.Failure:
             return coded_failure("SCRATCH_FULL", say("worker_disk_full"), retryable=True)
         case MemoryError():
             _log.error("job %s: out of memory", job, exc_info=error)
-            return coded_failure(
-                "OUT_OF_MEMORY",
-                say("worker_has_too_little_memory"),
-                hints=(say("choose_coarser_preset"), say("send_fewer_frames_points")),
-            )
+            return _from_edge_error(out_of_memory(), scratch)
         case _:
             _log.error("job %s: unexpected %s", job, type(error).__name__, exc_info=error)
             return internal(job)
@@ -53,6 +49,12 @@ def error_of(failure: pb.Failure) -> EdgeError:
         hints=tuple(said["hints"]),
         retryable=failure.retryable,
     )
+
+
+def out_of_memory() -> EdgeError:
+    """Return the error of a job that wants more memory than its worker has."""
+    hints = (say("choose_coarser_preset"), say("send_fewer_frames_points"))
+    return EdgeError("OUT_OF_MEMORY", say("worker_has_too_little_memory"), hints=hints)
 
 
 def internal(job: str) -> pb.Failure:

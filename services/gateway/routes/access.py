@@ -271,9 +271,7 @@ async def revoke_key(key: KeyId, request: Request, gateway: GatewayOf) -> KeyVie
     """Revoke an access key that allows no more than the caller's own: within a minute it is refused everywhere, its
     browser sessions and open streams end, and so do the devices that were paired with it."""
     caller, authentication = caller_of(request), gateway.access.authentication
-    known = await authentication.run(lambda: authentication.store.key(key))
-    if known is not None and _reach(caller) in (None, known.tenant):
-        _require_own_scopes(caller, known.scopes)
+    await _key_to_end(authentication, caller, key)
     revoked = await authentication.run(lambda: authentication.store.revoke_key(key, _reach(caller)))
     if revoked is None:
         raise _unknown_key(key)
@@ -292,10 +290,7 @@ async def rotate_key(key: KeyId, body: RotationRequest, request: Request, gatewa
     """Replace an access key by a new one with the same scopes; the old one goes on for the days of grace."""
     caller, authentication = caller_of(request), gateway.access.authentication
     store = authentication.store
-    old = await authentication.run(lambda: store.key(key))
-    if old is None or _reach(caller) not in (None, old.tenant):
-        raise _unknown_key(key)
-    _require_own_scopes(caller, old.scopes)
+    old = await _key_to_end(authentication, caller, key)
     if why := old.refusal(time.time()):
         raise Problem(
             409, f"KEY_{why.upper()}", say("key_has_ended", key=key, why=ENDED[why]), hints=(say("create_new_key"),)
@@ -359,6 +354,15 @@ def _tenant_for(caller: Caller, wanted: str | None) -> str:
 def _reach(caller: Caller) -> str | None:
     """Return the tenant whose keys the caller manages; None: all."""
     return None if Scope.OPERATE in caller.scopes else caller.tenant
+
+
+async def _key_to_end(authentication: Authentication, caller: Caller, key: str) -> ApiKey:
+    """Return a key that the caller may revoke or replace. Raises Problem where there is none, or it allows more."""
+    found = await authentication.run(lambda: authentication.store.key(key))
+    if found is None or _reach(caller) not in (None, found.tenant):
+        raise _unknown_key(key)
+    _require_own_scopes(caller, found.scopes)
+    return found
 
 
 def _require_own_scopes(caller: Caller, scopes: Iterable[Scope]) -> None:

@@ -58,9 +58,9 @@ print([each for each in decoders if each in sys.modules or f"/{each}/" in maps])
 """
 
 
-def processes(does: str, most_bytes: int = 1 << 50) -> JobProcesses:
+def processes(does: str, most_bytes: int = 1 << 50, most_seconds: float = PATIENCE_S) -> JobProcesses:
     """Processes that do something else than a job."""
-    return JobProcesses(ForkServer("-c", SCRIPTED.replace("DOES", does)), MemoryWatch(most_bytes))
+    return JobProcesses(ForkServer("-c", SCRIPTED.replace("DOES", does)), MemoryWatch(most_bytes), most_seconds)
 
 
 def ignore(_: Any) -> None:
@@ -184,6 +184,17 @@ def test_a_job_ends_with_the_server_that_holds_its_leash_and_the_next_one_has_an
             computing.wait(PATIENCE_S)
         with running(started, task_in(tmp_path, "job_2")) as process:
             assert psutil.pid_exists(process.number)
+
+
+@pytest.mark.parametrize("does", ["time.sleep(600)", "while True: talk.send({'anchors': ''})"])
+def test_a_job_that_takes_too_long_ends_whether_it_talks_or_not(tmp_path: Path, does: str) -> None:
+    with (
+        closing(processes(does, most_seconds=0.5)) as started,
+        started.running(task_in(tmp_path), ignore) as process,
+        pytest.raises(EdgeError, match="more than") as ended,
+    ):
+        list(process.steps())
+    assert ended.value.code == "JOB_TOO_LONG"
 
 
 def test_of_two_jobs_the_one_that_takes_the_memory_ends(tmp_path: Path) -> None:
