@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
+import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -79,7 +81,9 @@ class Stack:
     def __init__(self, host: str, port: int, data: Path, *, everybody: bool = False) -> None:
         reached = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - every address of this machine
         self.url = f"http://{f'[{reached}]' if ':' in reached else reached}:{port}"
-        self._environment = _environment(host, port, data, edge_port=free_port(), everybody=everybody)
+        # Short, as a socket's path must be; mkdtemp makes a folder that no other user may enter.
+        self._sockets = Path(tempfile.mkdtemp(prefix="capture2vr-"))
+        self._environment = _environment(host, port, data, sockets=self._sockets, everybody=everybody)
         self.store_root = data / "store"
         self._logs = data / "logs"
         self._children: dict[str, subprocess.Popen[bytes]] = {}
@@ -138,6 +142,7 @@ class Stack:
             except subprocess.TimeoutExpired:
                 child.kill()
                 child.wait()
+        shutil.rmtree(self._sockets, ignore_errors=True)
 
 
 def free_port() -> int:
@@ -175,15 +180,16 @@ def _refuse_without_keys(host: str, port: int, data: Path, everybody: bool) -> N
     from capture2vr.gateway.server import refuse_without_keys
     from capture2vr.gateway.settings import GatewaySettings
 
-    environment = _environment(host, port, data.resolve(), edge_port=0)
+    environment = _environment(host, port, data.resolve(), sockets=data)
     os.environ["GATEWAY_DATA_DIR"] = environment["GATEWAY_DATA_DIR"]
     settings = GatewaySettings(host=host)
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     refuse_without_keys(settings)
 
 
-def _environment(host: str, port: int, data: Path, *, edge_port: int, everybody: bool = False) -> Mapping[str, str]:
+def _environment(host: str, port: int, data: Path, *, sockets: Path, everybody: bool = False) -> Mapping[str, str]:
     """Return the services' environment: our defaults, then the operator's settings, then addresses that must agree."""
+    worker = f"unix:{sockets / 'edge.sock'}"  # on a port, every user of this machine could run jobs
     defaults = {
         "STORAGE_KIND": "local",
         "STORAGE_ROOT": str(data / "store"),
@@ -193,11 +199,10 @@ def _environment(host: str, port: int, data: Path, *, edge_port: int, everybody:
         "GATEWAY_DATA_DIR": str(data / "gateway"),
     }
     fixed = {
-        "EDGE_HOST": "127.0.0.1",
-        "EDGE_PORT": str(edge_port),
+        "EDGE_HOST": worker,
         "GATEWAY_HOST": host,
         "GATEWAY_PORT": str(port),
-        "GATEWAY_WORKERS": f"127.0.0.1:{edge_port}",
+        "GATEWAY_WORKERS": worker,
         "PYTHONUNBUFFERED": "1",
         **({"GATEWAY_OPEN": "true"} if everybody else {}),
     }

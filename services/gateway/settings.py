@@ -50,6 +50,11 @@ class GatewaySettings(StrictSettings):
     limit_jobs_per_day: int = Field(default=0, ge=0)
     limit_stored_bytes: int = Field(default=0, ge=0)
     limit_capture_bytes: int = Field(default=0, ge=0)  # beside max_upload_bytes
+    limit_job_seconds: int = Field(default=14_400, ge=0)  # that one may compute: large scenes take two hours
+    limit_processor_s_per_minute: int = Field(
+        default=120, ge=0
+    )  # of checks and inspections: of two cores, all the time
+    limit_presets: CommaList = ()  # that jobs may name; empty: all but those of the literature
     # Of a client's address, with or without a key; this machine's own are not counted.
     limit_address_requests_per_minute: int = Field(default=3_000, ge=0)
     limit_address_connections: int = Field(default=512, ge=0)  # open ones; behind a proxy all are the proxy's

@@ -7,7 +7,8 @@ milliseconds. MODULE has `work(order, talk)`, which sets its own limits, and sen
 
 For each piece of work the service sends two descriptors over the socket FD (fork_client.py). The first is a socket,
 over which it sends the order as one line of JSON, and then reads messages, one a line, until the end: those of `work`,
-`{"failed": TRACEBACK}` for an exception, and `{"ended": STATUS}`. The second is a pipe, the leash: the process is
+`{"failed": TRACEBACK}` for an exception, and `{"processor_s": SECONDS, "ended": STATUS}`: what the process and all that
+it has waited for took. The second is a pipe, the leash: the process is
 killed when the service closes it. Whatever a process has started is killed when it has ended.
 """
 
@@ -133,14 +134,15 @@ class _Server:
 
     def _report(self, running: _Running) -> None:
         assert running.process is not None
-        _, status = os.waitpid(running.process, 0)
+        _, status, used = os.wait4(running.process, 0)
         running.process = None
         self._kill_orphans()
         for descriptor in (running.leash, running.ended):
             with suppress(KeyError):  # the leash has been closed before
                 self._selector.unregister(descriptor)
         with suppress(OSError):  # nobody listens any more
-            _send(running.channel, {"ended": os.waitstatus_to_exitcode(status)})
+            seconds = used.ru_utime + used.ru_stime
+            _send(running.channel, {"processor_s": seconds, "ended": os.waitstatus_to_exitcode(status)})
         self._running.remove(running)
         running.close()
 

@@ -31,6 +31,7 @@ BENCHES = {
     "trace": "one capture's trace over gateway and worker, drawn as a waterfall: where the seconds of a job go",
     "engine": "16 jobs on a real Ray cluster of 1, 2 and 4 nodes: seconds, share of k times one node",
     "fuzz": "hostile files of every format: answers, CPU seconds, memory, what is left; resumable",
+    "attack": "the attacks of docs/security.md on a started product: answers, CPU seconds, memory, what others waited",
     "uploads": "32 phones of 20 MB each, plain and resumable: seconds, memory, latency; a film of 1 GB with 20 cuts",
 }
 ON_DEMAND = {
@@ -62,9 +63,9 @@ ON_DEMAND = {
 _MODULES = {
     **{name: (f"browser.{name}", False) for name in ("lighthouse", "visit", "walk", "walkthrough")},
     **{
-        name: (f"load.{name}", False) for name in ("dispatch", "engine", "fleet", "fuzz", "service", "streams", "trace")
+        name: (f"load.{name}", False)
+        for name in ("attack", "dispatch", "engine", "fleet", "fuzz", "service", "streams", "trace", "uploads")
     },
-    "uploads": ("load.uploads", False),
     **{name: (f"paper.{name}", False) for name in ("ablation", "complexity", "tables")},
     **dict.fromkeys(("table2", "table3", "table4"), ("paper.paper_tables", True)),
     "table5": ("paper.complexity", False),

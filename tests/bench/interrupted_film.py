@@ -28,6 +28,7 @@ from capture2vr.storage.store import list_all
 from tests.support.photos.private_pictures import box, handler
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
 from tests.support.tus import PART, TUS, metadata
+from tests.support.workers.inspecting_worker import inspecting_worker
 
 _BLOCK_BYTES = 1 << 20
 _PATIENCE_S = 600.0
@@ -93,7 +94,7 @@ class _Gateways:
                 GATEWAY_PORT=port,
                 GATEWAY_DATA_DIR=folder / f"gateway{number}",
                 GATEWAY_DATABASE_URL=f"sqlite:///{folder / 'gateway.db'}",
-                GATEWAY_WORKERS="127.0.0.1:9",
+                GATEWAY_WORKERS=inspecting_worker(),
                 GATEWAY_LOG_LEVEL="WARNING",
                 STORAGE_ROOT=folder / "objects",
             )

@@ -113,6 +113,20 @@ def test_no_other_user_of_the_machine_may_read_what_it_keeps(url: str, disk: Pat
     assert [path for path in kept if path.stat().st_mode & 0o077] == []
 
 
+def test_no_other_user_of_the_machine_may_start_jobs(url: str, data: Path) -> None:
+    """The worker asks for no token: it listens on no port, but on a socket that its user alone may open."""
+    working = [each for each in psutil.process_iter() if "edge" in each.cmdline()[-2:] and str(data) in _places(each)]
+    assert len(working) == 1
+    for each in (*working, *working[0].children(recursive=True)):
+        assert [line for line in each.net_connections("tcp") if line.status == "LISTEN"] == []
+    (address,) = {line.laddr for line in working[0].net_connections("unix") if line.laddr.endswith("edge.sock")}
+    assert Path(address).parent.stat().st_mode & 0o077 == 0
+
+
+def _places(process: psutil.Process) -> str:
+    return str(process.environ().get("EDGE_SCRATCH", ""))
+
+
 def test_a_second_push_makes_a_second_version(url: str, disk: Path) -> None:
     for version in (1, 2):
         assert capture2vr("push", disk, "--gateway", url, "--key", "twice", "--preset", "draft").returncode == 0

@@ -21,7 +21,7 @@ from tests.support.patience import PATIENCE_S
 @pytest.mark.slow
 async def test_ready_means_that_a_job_would_be_done(tmp_path: Path) -> None:
     store = memory()
-    async with gateway(tmp_path / "gw", store) as client:
+    async with gateway(tmp_path / "gw", store, 9) as client:
         assert (await client.get("/livez")).status_code == 200
         answer = await client.get("/readyz")
         assert answer.status_code == 503
@@ -37,7 +37,7 @@ async def test_ready_means_that_a_job_would_be_done(tmp_path: Path) -> None:
 
 
 async def test_checks_can_be_left_out_of_readiness(tmp_path: Path) -> None:
-    async with gateway(tmp_path / "gw", memory()) as client:
+    async with gateway(tmp_path / "gw", memory(), 9) as client:
         answer = await client.get("/readyz?exclude=workers")
         assert (answer.status_code, answer.json()["ready"]) == (200, True)
         assert answer.json()["checks"]["workers"]["ok"] is False

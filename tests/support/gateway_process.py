@@ -17,14 +17,13 @@ from capture2vr.storage.local import LocalStore
 from capture2vr.storage.store import list_all
 from tests.support.patience import PATIENCE_S
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
+from tests.support.workers.inspecting_worker import inspecting_worker
 
 
 class GatewayProcess:
-    """A gateway process; without workers where none are named."""
+    """A gateway process; with a worker that only inspects where none are named."""
 
-    def __init__(
-        self, folder: Path, *, workers: str = "127.0.0.1:9", within: Sequence[str] = (), **variables: object
-    ) -> None:
+    def __init__(self, folder: Path, *, workers: str = "", within: Sequence[str] = (), **variables: object) -> None:
         """within: as of ServiceProcess; variables: further ones of its environment"""
         self.port = free_port()
         self.store = LocalStore(folder / "objects")
@@ -34,7 +33,7 @@ class GatewayProcess:
             GATEWAY_PORT=self.port,
             GATEWAY_DATA_DIR=folder / "data",
             within=within,
-            GATEWAY_WORKERS=workers,
+            GATEWAY_WORKERS=workers or inspecting_worker(),
             STORAGE_ROOT=folder / "objects",
             **variables,
         )

@@ -22,6 +22,7 @@ from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Store
 from tests.support.patience import PATIENCE_S
+from tests.support.workers.inspecting_worker import inspecting_worker
 from tests.support.workers.scripted_work import Making
 
 TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
@@ -46,7 +47,7 @@ async def worker(work: Making, scratch: Path, *, port: int = 0, **settings: Any)
 @asynccontextmanager
 async def gateway(data_dir: Path, store: Store, *ports: int, **settings: Any) -> AsyncIterator[httpx.AsyncClient]:
     """A gateway that listens on a real socket; a client of it. Leaves runs alone when it goes, as a restart does."""
-    workers = tuple(f"127.0.0.1:{port}" for port in ports) or ("127.0.0.1:9",)
+    workers = tuple(f"127.0.0.1:{port}" for port in ports) or (inspecting_worker(),)
     told = GatewaySettings(data_dir=data_dir, port=0, **{**SHORT, "workers": workers, **settings})
     app = create_app(told, store)
     async with listening(app, told) as url, httpx.AsyncClient(base_url=url, timeout=PATIENCE_S) as client:

@@ -1,4 +1,4 @@
-"""A gateway in this process, without a worker: pages, files and catalogues are all that a viewer needs."""
+"""A gateway in this process, with a worker that only inspects: all that a viewer needs are pages and catalogues."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.store import Store
+from tests.support.workers.inspecting_worker import inspecting_worker
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ def site_at(folder: Path, keys: Keys = NO_KEYS) -> Iterator[Site]:
 @contextmanager
 def gateway_at(folder: Path, store: Store, keys: Keys = NO_KEYS) -> Iterator[str]:
     """A gateway of any store; its URL."""
-    app = create_app(GatewaySettings(data_dir=folder / "data", workers=("127.0.0.1:9",)), store, keys)
+    app = create_app(GatewaySettings(data_dir=folder / "data", workers=(inspecting_worker(),)), store, keys)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         server = uvicorn.Server(uvicorn.Config(app, log_config=None, ws="none", timeout_graceful_shutdown=1))
         thread = threading.Thread(target=server.run, args=([listening],))

@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut", "tenant", "token", "visibility", "capture", "description", "labels", "edits", "publish_anyway")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut", "tenant", "token", "visibility", "capture", "description", "labels", "edits", "publish_anyway", "most_seconds")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -61,6 +61,7 @@ class Header(_message.Message):
     LABELS_FIELD_NUMBER: _ClassVar[int]
     EDITS_FIELD_NUMBER: _ClassVar[int]
     PUBLISH_ANYWAY_FIELD_NUMBER: _ClassVar[int]
+    MOST_SECONDS_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
     preset: str
@@ -82,7 +83,8 @@ class Header(_message.Message):
     labels: _containers.RepeatedScalarFieldContainer[str]
     edits: str
     publish_anyway: bool
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ..., tenant: _Optional[str] = ..., token: _Optional[str] = ..., visibility: _Optional[str] = ..., capture: _Optional[str] = ..., description: _Optional[str] = ..., labels: _Optional[_Iterable[str]] = ..., edits: _Optional[str] = ..., publish_anyway: _Optional[bool] = ...) -> None: ...
+    most_seconds: float
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ..., tenant: _Optional[str] = ..., token: _Optional[str] = ..., visibility: _Optional[str] = ..., capture: _Optional[str] = ..., description: _Optional[str] = ..., labels: _Optional[_Iterable[str]] = ..., edits: _Optional[str] = ..., publish_anyway: _Optional[bool] = ..., most_seconds: _Optional[float] = ...) -> None: ...
 
 class Box(_message.Message):
     __slots__ = ("left", "top", "right", "bottom", "photo")
@@ -235,7 +237,7 @@ class Finished(_message.Message):
     def __init__(self, warnings: _Optional[_Iterable[str]] = ..., seconds: _Optional[_Mapping[str, float]] = ..., i18n: _Optional[str] = ...) -> None: ...
 
 class Inspection(_message.Message):
-    __slots__ = ("kind", "format", "frames", "points", "warnings", "failure", "outline", "i18n")
+    __slots__ = ("kind", "format", "frames", "points", "warnings", "failure", "outline", "i18n", "processor_s")
     KIND_FIELD_NUMBER: _ClassVar[int]
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -244,6 +246,7 @@ class Inspection(_message.Message):
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     OUTLINE_FIELD_NUMBER: _ClassVar[int]
     I18N_FIELD_NUMBER: _ClassVar[int]
+    PROCESSOR_S_FIELD_NUMBER: _ClassVar[int]
     kind: str
     format: str
     frames: int
@@ -252,7 +255,8 @@ class Inspection(_message.Message):
     failure: Failure
     outline: _containers.RepeatedCompositeFieldContainer[Polygon]
     i18n: str
-    def __init__(self, kind: _Optional[str] = ..., format: _Optional[str] = ..., frames: _Optional[int] = ..., points: _Optional[int] = ..., warnings: _Optional[_Iterable[str]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., outline: _Optional[_Iterable[_Union[Polygon, _Mapping]]] = ..., i18n: _Optional[str] = ...) -> None: ...
+    processor_s: float
+    def __init__(self, kind: _Optional[str] = ..., format: _Optional[str] = ..., frames: _Optional[int] = ..., points: _Optional[int] = ..., warnings: _Optional[_Iterable[str]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., outline: _Optional[_Iterable[_Union[Polygon, _Mapping]]] = ..., i18n: _Optional[str] = ..., processor_s: _Optional[float] = ...) -> None: ...
 
 class Polygon(_message.Message):
     __slots__ = ("xy",)
@@ -283,6 +287,20 @@ class CancelReply(_message.Message):
     WAS_RUNNING_FIELD_NUMBER: _ClassVar[int]
     was_running: bool
     def __init__(self, was_running: _Optional[bool] = ...) -> None: ...
+
+class YieldRequest(_message.Message):
+    __slots__ = ("job", "token")
+    JOB_FIELD_NUMBER: _ClassVar[int]
+    TOKEN_FIELD_NUMBER: _ClassVar[int]
+    job: str
+    token: str
+    def __init__(self, job: _Optional[str] = ..., token: _Optional[str] = ...) -> None: ...
+
+class YieldReply(_message.Message):
+    __slots__ = ("yields",)
+    YIELDS_FIELD_NUMBER: _ClassVar[int]
+    yields: bool
+    def __init__(self, yields: _Optional[bool] = ...) -> None: ...
 
 class GetWorkerRequest(_message.Message):
     __slots__ = ()

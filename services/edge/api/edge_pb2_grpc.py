@@ -54,6 +54,11 @@ class EdgeReconstructionStub:
                 request_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.CancelRequest.SerializeToString,
                 response_deserializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.CancelReply.FromString,
                 _registered_method=True)
+        self.Yield = channel.unary_unary(
+                '/capture2vr.edge.v1.EdgeReconstruction/Yield',
+                request_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.YieldRequest.SerializeToString,
+                response_deserializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.YieldReply.FromString,
+                _registered_method=True)
         self.GetWorker = channel.unary_unary(
                 '/capture2vr.edge.v1.EdgeReconstruction/GetWorker',
                 request_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.GetWorkerRequest.SerializeToString,
@@ -112,6 +117,14 @@ class EdgeReconstructionServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def Yield(self, request, context):
+        """Have a job make room for others, if it is at a stage with checkpoints and has one: it ends with JOB_YIELDED, which is
+        retryable, and goes on from there when it is sent again. Any other job goes on, and the reply says so.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def GetWorker(self, request, context):
         """The worker's version, device, presets, load and jobs.
         """
@@ -153,6 +166,11 @@ def add_EdgeReconstructionServicer_to_server(servicer, server):
                     servicer.Cancel,
                     request_deserializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.CancelRequest.FromString,
                     response_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.CancelReply.SerializeToString,
+            ),
+            'Yield': grpc.unary_unary_rpc_method_handler(
+                    servicer.Yield,
+                    request_deserializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.YieldRequest.FromString,
+                    response_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.YieldReply.SerializeToString,
             ),
             'GetWorker': grpc.unary_unary_rpc_method_handler(
                     servicer.GetWorker,
@@ -273,6 +291,33 @@ class EdgeReconstruction:
             '/capture2vr.edge.v1.EdgeReconstruction/Cancel',
             capture2vr_dot_edge_dot_v1_dot_edge__pb2.CancelRequest.SerializeToString,
             capture2vr_dot_edge_dot_v1_dot_edge__pb2.CancelReply.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Yield(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/capture2vr.edge.v1.EdgeReconstruction/Yield',
+            capture2vr_dot_edge_dot_v1_dot_edge__pb2.YieldRequest.SerializeToString,
+            capture2vr_dot_edge_dot_v1_dot_edge__pb2.YieldReply.FromString,
             options,
             channel_credentials,
             insecure,

@@ -111,6 +111,11 @@ class GrpcClient:
         answer: pb.Worker = await self._stub.GetWorker(request, timeout=timeout_s, wait_for_ready=wait_for_ready)
         return answer
 
+    async def make_room(self, job: str, token: str, timeout_s: float) -> bool:
+        """Have a run yield its slot to others, if it can go on from a checkpoint later. Return whether it does."""
+        reply = await self._stub.Yield(pb.YieldRequest(job=job, token=token), timeout=timeout_s)
+        return bool(reply.yields)
+
     async def cancel(self, job: str, token: str, timeout_s: float, *, wait_for_ready: bool = False) -> bool:
         """Stop a run. Return whether it was running. token: the job's, from its header"""
         request = pb.CancelRequest(job=job, token=token)

@@ -192,5 +192,6 @@ def _header(request: ReconstructionRequest, size: int) -> pb.Header:
         tenant=request.tenant,
         token=request.token,
         capture=request.capture,
+        most_seconds=request.most_seconds,
         **header_fields(request.options.without_points()),
     )

@@ -104,7 +104,8 @@ class JobProcesses:
     @contextmanager
     def running(self, task: JobTask, report: Report) -> Iterator[JobProcess]:
         """Run a job's process in the block, at whose end it is killed. What `report` raises ends the block, too."""
-        process = JobProcess(task, report, self._watch, self._most_seconds)
+        most_seconds = min(self._most_seconds, task.most_seconds or math.inf)
+        process = JobProcess(task, report, self._watch, most_seconds)
         try:
             with talking(self._server, task.as_order(), process.tick) as talk:
                 process.talk = talk

@@ -47,6 +47,7 @@ class JobTask:
     saves       whether the points are saved beside the checkpoint, to be sent to central
     whole       whether points that are to be sent keep all that they were thinned from, for tiles
     log_level   of the worker
+    most_seconds  that the job may compute; 0: the worker's own limit alone
     """
 
     job: str
@@ -62,6 +63,7 @@ class JobTask:
     saves: bool
     whole: bool
     log_level: int
+    most_seconds: float = 0.0
 
     def as_order(self) -> dict[str, Any]:
         """Return the order that is sent to the process."""

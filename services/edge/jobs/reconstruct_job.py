@@ -119,6 +119,7 @@ class Reconstructor:
             job=request.job,
             tenant=request.tenant,
             archive=archive.resolve(),
+            most_seconds=request.most_seconds,
             scratch=scratch.resolve(),
             checkpoint=checkpoint.resolve(),
             options=request.options,

@@ -41,6 +41,11 @@ class CheckpointFiles:
                     older[-1][1].replace(own.with_suffix(suffix))
         return own
 
+    def exists(self, job: str, fence: int) -> bool:
+        """Whether this lease of the job has written a checkpoint, or taken one over."""
+        own = self._root / job / f"{fence}{_SUFFIX}"
+        return own.exists() or own.with_suffix(_TILES).exists()
+
     def drop(self, job: str, fence: int) -> None:
         """Remove the files of the job's leases up to this one; those of a newer lease stay."""
         folder = self._root / job

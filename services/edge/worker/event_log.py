@@ -68,6 +68,11 @@ class EventLog:
                 self._append(finished=ending)
 
     @property
+    def stage(self) -> pb.Stage:
+        """The stage of the last progress."""
+        return self._stage
+
+    @property
     def last_seq(self) -> int:
         """The number of the last event; 0 before the first."""
         return len(self._events)

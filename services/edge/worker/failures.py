@@ -22,6 +22,8 @@ DRAINING = coded_failure(
     retryable=True,
 )
 
+YIELDED = coded_failure("JOB_YIELDED", say("job_yielded"), retryable=True)
+
 
 def failure_of(error: BaseException, *, job: str, scratch: Path) -> pb.Failure:
     """Convert an exception to a `Failure`. An unexpected one is logged with traceback; the caller gets no details."""

@@ -14,7 +14,7 @@ import grpc
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.worker.coded_messages import coded_progress
 from capture2vr.edge.worker.event_log import Ending
-from capture2vr.edge.worker.failures import CANCELLED, DRAINING
+from capture2vr.edge.worker.failures import CANCELLED, DRAINING, YIELDED
 from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError
 from capture2vr.edge.worker.job_run import JobRun, Work
 from capture2vr.edge.worker.metrics import WorkerMetrics
@@ -116,6 +116,14 @@ class JobQueue:
         """Return the job's run, if it waits, runs or ended lately and the token is the job's; else None."""
         run = self._runs.get(job)
         return run if run is not None and _shows_token(run.request, token) else None
+
+    def make_room(self, job: str, token: str) -> bool:
+        """Stop a job in its slot that can go on from its checkpoint later; return whether it is such a one."""
+        run = self.find(job, token)
+        if run is None or run not in self._busy or not run.is_resumable:
+            return False
+        self._stop(run, YIELDED)
+        return True
 
     def cancel(self, job: str, token: str) -> bool:
         """Stop a job in its upload, the queue or its slot, which is free within two seconds; False for an unknown or

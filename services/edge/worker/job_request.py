@@ -44,6 +44,7 @@ class ReconstructionRequest:
     tenant    whose job it is: key and collection are the tenant's
     token     secret that Attach and Cancel must show; "": none
     capture   id of the capture, for logs and traces; "": unknown
+    most_seconds  that it may compute; 0: the worker's own limit alone
     """
 
     job: str
@@ -54,6 +55,7 @@ class ReconstructionRequest:
     tenant: str = DEFAULT_TENANT
     token: str = ""
     capture: str = ""
+    most_seconds: float = 0.0
 
     @classmethod
     def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
@@ -83,6 +85,7 @@ class ReconstructionRequest:
             tenant=header.tenant or DEFAULT_TENANT,
             token=header.token,
             capture=header.capture,
+            most_seconds=header.most_seconds,
         )
 
 

@@ -115,6 +115,12 @@ class JobRun:
         """Ask the work to stop at its next report, and end with `failure`; of several calls the first one counts."""
         self._stop_with = self._stop_with or failure
 
+    @property
+    def is_resumable(self) -> bool:
+        """Whether it is fitting, and another run of the job could go on from its checkpoint."""
+        request = self.request
+        return self.log.stage == pb.FITTING and self._checkpoints.exists(request.job, request.fence)
+
     def release_checkpoint(self, ending: Ending) -> None:
         """Remove the checkpoint at the run's end, unless the job will run again and resume from it."""
         if not _is_retried(ending):

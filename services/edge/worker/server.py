@@ -25,7 +25,7 @@ from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedErr
 from capture2vr.edge.worker.job_run import Work
 from capture2vr.edge.worker.metrics import WorkerMetrics
 from capture2vr.edge.worker.scratch import Scratch
-from capture2vr.edge.worker.settings import EdgeSettings, server_security
+from capture2vr.edge.worker.settings import EdgeSettings, refuse_without_token, server_security
 from capture2vr.edge.worker.upload import first_header
 from capture2vr.process.grpc_security import ServerSecurity
 from capture2vr.process.strict_settings import SettingsError
@@ -107,6 +107,9 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
     async def Cancel(self, request: pb.CancelRequest, context: Context) -> pb.CancelReply:  # noqa: N802
         return pb.CancelReply(was_running=self._runs.cancel(request.job, request.token))
 
+    async def Yield(self, request: pb.YieldRequest, context: Context) -> pb.YieldReply:  # noqa: N802
+        return pb.YieldReply(yields=self._runs.make_room(request.job, request.token))
+
     async def GetWorker(self, request: pb.GetWorkerRequest, context: Context) -> pb.Worker:  # noqa: N802
         offer = self._work.offer
         return pb.Worker(
@@ -181,7 +184,7 @@ class AddressError(RuntimeError):
 class EdgeServer:
     """Serves the worker's calls, health checks and, if enabled, reflection on one port. Used on the event loop only.
 
-    Raises SettingsError where the settings' certificate, key or token cannot be used.
+    Raises SettingsError where the settings' certificate, key or token cannot be used, and where a token is missing.
     """
 
     def __init__(self, settings: EdgeSettings, work: Work, scratch: Scratch, *, out_of_memory: bool = False) -> None:
@@ -191,6 +194,7 @@ class EdgeServer:
             version=__version__, device=offer.device, slots=settings.slots, memory_bytes=offer.memory_bytes
         )
         self._runs = JobQueue(work, scratch, self.metrics, slots=settings.slots, queue=settings.queue)
+        refuse_without_token(settings)
         self._security = server_security(settings)
         interceptors = [TokenAuthentication(self._security.token)] if self._security.token else []
         self._server = grpc.aio.server(interceptors=interceptors, options=OPTIONS)
@@ -238,11 +242,13 @@ def _metrics(settings: EdgeSettings, metrics: WorkerMetrics) -> Iterator[None]:
         return
     with ExitStack() as stack:
         try:
-            port = stack.enter_context(metrics.serve(settings.host, settings.metrics_port))
+            port = stack.enter_context(metrics.serve(settings.metrics_host, settings.metrics_port))
         except OSError as error:
-            why = f"EDGE_METRICS_PORT: cannot listen on {settings.host}:{settings.metrics_port}: {error.strerror}"
+            why = (
+                f"EDGE_METRICS_PORT: cannot listen on {settings.metrics_host}:{settings.metrics_port}: {error.strerror}"
+            )
             raise AddressError(why) from None
-        _log.info("metrics on http://%s:%d/metrics", settings.host, port)
+        _log.info("metrics on http://%s:%d/metrics", settings.metrics_host, port)
         yield
 
 
@@ -255,7 +261,8 @@ def _add_reflection(server: grpc.aio.Server) -> None:
 def _bind(server: grpc.aio.Server, settings: EdgeSettings, security: ServerSecurity) -> int:
     """Bind the server to its address; return the port. Raises AddressError, because gRPC's own error has no reason."""
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    address, credentials = f"{host}:{settings.port}", security.credentials
+    address = settings.host if settings.is_socket else f"{host}:{settings.port}"
+    credentials = security.credentials
     try:
         return server.add_secure_port(address, credentials) if credentials else server.add_insecure_port(address)
     except RuntimeError:
@@ -264,10 +271,9 @@ def _bind(server: grpc.aio.Server, settings: EdgeSettings, security: ServerSecur
 
 def _announce(settings: EdgeSettings, port: int) -> None:
     _log.info("settings: %s", json.dumps(settings.describe()))
-    _log.info("listening on %s:%d", settings.host, port)
-    if not settings.loopback and not settings.token.get_secret_value():
-        warning = "EDGE_HOST=%s: no EDGE_TOKEN is set, so anybody who can reach this port may run jobs"
-        _log.warning(warning, settings.host)
+    _log.info("listening on %s", settings.host if settings.is_socket else f"{settings.host}:{port}")
+    if settings.open and not settings.is_local and not settings.token.get_secret_value():
+        _log.warning("EDGE_OPEN: everybody who reaches %s may run jobs, in the name of any tenant", settings.host)
 
 
 @contextmanager

@@ -16,10 +16,12 @@ from capture2vr.process.grpc_security import (
     read_client_credentials,
     read_server_security,
 )
-from capture2vr.process.strict_settings import LOOPBACK, StrictSettings
+from capture2vr.process.strict_settings import LOOPBACK, SettingsError, StrictSettings
 
 _ADDRESS = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?):(?P<port>\d{1,5})", re.ASCII)
 """host:port, where the host is a name, an IPv4 address, or an IPv6 address in brackets."""
+
+_SOCKET = "unix:"
 
 
 class EdgeSettings(StrictSettings):
@@ -28,8 +30,9 @@ class EdgeSettings(StrictSettings):
     model_config = SettingsConfigDict(env_prefix="EDGE_")
 
     host: str = Field(
-        "127.0.0.1", min_length=1, description="Address to listen on: without a token, who reaches it may run jobs."
+        "127.0.0.1", min_length=1, description="Address to listen on, or unix:PATH of a socket for this user alone."
     )
+    open: bool = Field(False, description="Take jobs without a token, also where other machines reach the address.")
     port: int = Field(50051, ge=0, le=65535, description="Port to listen on; 0: any free port, which is logged.")
     metrics_port: int = Field(0, ge=0, le=65535, description="Port of GET /metrics (Prometheus); 0: none.")
     slots: int = Field(1, ge=1, le=64, description="Jobs computed at once.")
@@ -71,15 +74,34 @@ class EdgeSettings(StrictSettings):
         return value
 
     @property
-    def loopback(self) -> bool:
+    def is_socket(self) -> bool:
+        """Whether the worker listens on a socket in the file system."""
+        return self.host.startswith(_SOCKET)
+
+    @property
+    def is_local(self) -> bool:
         """Whether only this machine can reach the worker."""
-        return self.host in LOOPBACK
+        return self.is_socket or self.host in LOOPBACK
+
+    @property
+    def metrics_host(self) -> str:
+        """Address of GET /metrics."""
+        return "127.0.0.1" if self.is_socket else self.host
 
 
 def server_security(settings: EdgeSettings) -> ServerSecurity:
     """Read the worker's certificate, key and token. Raises SettingsError naming the variable and the file at fault."""
     names = ("EDGE_TLS_CERT", "EDGE_TLS_KEY", "EDGE_TOKEN")
     return read_server_security(settings.tls_cert, settings.tls_key, settings.token.get_secret_value(), names=names)
+
+
+def refuse_without_token(settings: EdgeSettings) -> None:
+    """Raises SettingsError where others reach the worker without a token, unless the settings want it so."""
+    if settings.is_local or settings.open or settings.token.get_secret_value():
+        return
+    why = "everybody who reaches this address could run jobs, in the name of any tenant"
+    then = "set EDGE_TOKEN with EDGE_TLS_CERT and EDGE_TLS_KEY, or EDGE_OPEN=true where only gateways reach it"
+    raise SettingsError(f"EDGE_HOST={settings.host}: {why}; {then}")
 
 
 def central_credentials(settings: EdgeSettings) -> ClientCredentials:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 from cachetools import TTLCache
 from limits import RateLimitItem, RateLimitItemPerMinute, RateLimitItemPerSecond
@@ -28,7 +29,13 @@ _MOVES = RateLimitItemPerSecond(50)  # of one scene: each of those who move thin
 
 @dataclass(frozen=True, slots=True)
 class TenantLimits:
-    """What a tenant may do; 0 is no limit. jobs_at_once counts those that have not ended."""
+    """What a tenant may do; 0 is no limit.
+
+    jobs_at_once             counts those that have not ended
+    job_seconds              that one job may compute; those of operators may compute as long as a worker lets them
+    processor_s_per_minute   for the checks and inspections of its uploads
+    presets                  that its jobs may name; none: all but the methods from the literature, which operators may
+    """
 
     requests_per_minute: int = 0
     uploads_at_once: int = 0
@@ -36,17 +43,21 @@ class TenantLimits:
     jobs_per_day: int = 0
     stored_bytes: int = 0
     capture_bytes: int = 0
+    job_seconds: int = 0
+    processor_s_per_minute: int = 0
+    presets: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, settings: GatewaySettings) -> TenantLimits:
         """Return the limits in the settings, which hold for tenants without limits of their own."""
         return cls(**{field.name: getattr(settings, f"limit_{field.name}") for field in fields(cls)})
 
-    def with_own(self, own: Mapping[str, int] | None) -> TenantLimits:
+    def with_own(self, own: Mapping[str, Any] | None) -> TenantLimits:
         """Return these limits with a tenant's own in their places."""
-        return replace(self, **(own or {}))
+        found = replace(self, **(own or {}))
+        return replace(found, presets=tuple(found.presets))
 
-    def document(self) -> dict[str, int]:
+    def document(self) -> dict[str, Any]:
         """Return the limits by name."""
         return asdict(self)
 

@@ -9,6 +9,7 @@ import secrets as random
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
@@ -73,13 +74,13 @@ class AccessStore:
         with self._engine.begin() as db:
             return [Tenant(row.name, row.label, row.created) for row in db.execute(select)]
 
-    def own_limits(self, tenant: str) -> dict[str, int] | None:
+    def own_limits(self, tenant: str) -> dict[str, Any] | None:
         """Return the limits that were set for a tenant alone; None where there are none."""
         with self._engine.begin() as db:
             found = db.execute(sa.select(tenants.c.limits).where(tenants.c.name == tenant)).scalar()
         return dict(found) if found else None
 
-    def set_limits(self, tenant: str, limits: Mapping[str, int]) -> None:
+    def set_limits(self, tenant: str, limits: Mapping[str, Any]) -> None:
         """Set a tenant's own limits, in place of those it had; none: those of the settings hold."""
         with self._writer.begin() as db:
             values = dict(limits) if limits else sa.null()

@@ -22,6 +22,9 @@ _POLL_S = 0.5  # between checks of the queue without a wake-up: another gateway 
 _WORKERS_S = 2.0  # between polls of workers that are away, and of those with free slots while jobs wait
 _ASKED_FIRST = 3  # workers: mostly the first has a free slot, as the lease table says
 _ANNOUNCED_POLL_S = 30.0  # where the database notifies of queued jobs; only a safety net
+_RESUMABLE_STAGE = "FITTING"  # the one with checkpoints
+# Of a run, after which it yields to a job that has not run yet, and to one that has. Its points are made anew then.
+_SLICE_S, _LONG_SLICE_S = 60.0, 900.0
 _DATABASE_FAILED = "the jobs database cannot be used; trying again: %s"
 _RENEWALS = 3  # per lease period: two may fail before the lease is lost
 
@@ -111,9 +114,27 @@ class Dispatcher:
                 return self._idle_s if queue.start is None else min(queue.start - now, self._idle_s)
             addresses = self._with_free_slots(queue.taken, asked)
             if not addresses:
+                await self._make_room(now)
                 return _WORKERS_S
             asked.update(addresses)
             await self._fill(await self._dependencies.workers.poll(addresses))
+
+    async def _make_room(self, now: float) -> None:
+        """Have a run that was long on its worker yield to a job that waits, at its checkpoint.
+
+        It yields early to a job that has not run yet, and late to one that yielded itself: each time, its points are
+        made anew.
+        """
+        running = (supervisor for supervisor, _ in self._supervisors.values() if supervisor.ran_s > _SLICE_S)
+        for supervisor in sorted(running, key=lambda each: -each.ran_s):
+            worker = self._dependencies.workers.last_status(supervisor.worker)
+            if worker is None or not worker.takes_jobs or supervisor.job.stage != _RESUMABLE_STAGE:
+                continue
+            store, has_run = self._dependencies.job_store, supervisor.ran_s > _LONG_SLICE_S
+            waits = await store.read(JobStore.waits, now, worker.preset_names, has_run=has_run)
+            if waits and await supervisor.make_room():
+                _log.info("job %s yields its slot after %.0f s: others wait", supervisor.job.id, supervisor.ran_s)
+                return
 
     def _with_free_slots(self, taken: Mapping[str, int], asked: Collection[str]) -> list[str]:
         """Return the workers that the lease table has free slots of, the few with the fewest runs if none was `asked`.

@@ -95,6 +95,7 @@ class RunSupervisor:
         self._dependencies = dependencies
         self._run_started = job.lease.run_seq > 0  # whether the worker is known to have started the run
         self._canceller: asyncio.Task[None] | None = None
+        self._began = time.monotonic()
 
     async def supervise(self, *, running: bool) -> None:
         """Start the run, or reattach if it is `running` already, and follow it to its end."""
@@ -107,6 +108,18 @@ class RunSupervisor:
             finally:
                 if self._canceller is not None:
                     self._canceller.cancel()
+
+    @property
+    def ran_s(self) -> float:
+        """Seconds since this run was begun or reattached to."""
+        return time.monotonic() - self._began
+
+    async def make_room(self) -> bool:
+        """Have the run yield its slot, if it can go on from a checkpoint later. Returns whether it does."""
+        try:
+            return await self._dependencies.workers.make_room(self.worker, self.job)
+        except WorkerLost:
+            return False
 
     def cancel(self) -> None:
         """Ask the worker to stop the run, repeatedly, until it has stopped."""

@@ -24,30 +24,44 @@ class State(StrEnum):
     CANCELLED = "CANCELLED"
 
 
+_NO_OPTIONS = frozenset({"capture", "asset_key", "most_seconds", "isolate"})  # of a stored order
+YIELDED = "YIELDED"
+"""The name among a job's `seconds` of what its runs took that made room for other jobs."""
+
 TERMINAL = frozenset({State.SUCCEEDED, State.FAILED, State.CANCELLED})
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What the client ordered: a capture, the key of the asset, and how to make it; it never changes."""
+    """What the client ordered: a capture, the key of the asset, and how to make it; it never changes.
+
+    most_seconds  that the job may compute; 0: the workers' own limit alone
+    """
 
     capture: str
     asset_key: str
     options: JobOptions = DEFAULT_OPTIONS
+    most_seconds: int = 0
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Order:
         """Convert a JSON document of `as_json`; one of before `cut` has `isolate`: true, false, or null for "auto"."""
-        options = {name: value for name, value in document.items() if name not in ("capture", "asset_key", "isolate")}
+        options = {name: value for name, value in document.items() if name not in _NO_OPTIONS}
         isolate = document.get("isolate")
         cut = "" if isolate is None else "object" if isolate else "scene"
-        return cls(document["capture"], document["asset_key"], JobOptions.of({"cut": cut, **options}))
+        return cls(
+            document["capture"],
+            document["asset_key"],
+            JobOptions.of({"cut": cut, **options}),
+            document.get("most_seconds", 0),
+        )
 
     @property
     def as_json(self) -> dict[str, Any]:
         """As the database and exports have it."""
         options = self.options.as_json
-        return {"capture": self.capture, "preset": options["preset"], "asset_key": self.asset_key, **options}
+        own = {"capture": self.capture, "asset_key": self.asset_key, "most_seconds": self.most_seconds}
+        return {**own, "preset": options["preset"], **options}
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +127,12 @@ class Job:
     def ended(self) -> bool:
         """Whether the job has reached a final state."""
         return self.state in TERMINAL
+
+    @property
+    def seconds_left(self) -> float:
+        """Seconds that its next run may compute; 0: no limit of its own."""
+        most = self.order.most_seconds
+        return max(1.0, most - self.seconds.get(YIELDED, 0.0)) if most else 0.0
 
     def elapsed_at(self, now: float) -> float:
         """Return the seconds since the job was accepted; constant once it has ended, whatever the wall clock does."""

@@ -93,6 +93,17 @@ def earliest_start(db: Connection, now: float) -> float | None:
     return first
 
 
+def job_waits(db: Connection, presets: Collection[str], now: float, *, has_run: bool) -> bool:
+    """Return whether a queued job of these presets may start now.
+
+    has_run  whether one counts, too, that had a lease before: it was lost, refused or made room for another
+    """
+    fence = sa.select(leases.c.fence).where(leases.c.job == jobs.c.id).scalar_subquery()
+    which = sa.and_(jobs.c.state == State.QUEUED.value, jobs.c.preset.in_(presets), _not_before <= now)
+    select = sa.select(jobs.c.id).where(which, sa.true() if has_run else fence == 0)
+    return db.execute(select.limit(1)).first() is not None
+
+
 def orphaned_jobs(now: float, holder: str, own_runs: Iterable[str]) -> sa.Select[str]:
     """Select the id of a running job whose lease has expired, or belongs to `holder`; none of `own_runs`."""
     lease = sa.select(sa.or_(leases.c.until < now, leases.c.holder == holder)).where(leases.c.job == jobs.c.id)

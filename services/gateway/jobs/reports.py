@@ -9,6 +9,7 @@ CANCELLED = "CANCELLED"
 """Error code of a run that was cancelled."""
 
 DRAINING = "WORKER_DRAINING"
+JOB_YIELDED = "JOB_YIELDED"
 """Error code of a run that its worker returned because the worker is shutting down."""
 
 
@@ -61,7 +62,7 @@ class VersionPublished:
 
 @dataclass(frozen=True, slots=True)
 class RunFailed:
-    """The run has failed."""
+    """The run has failed. ran_s: seconds since it began"""
 
     seq: int
     code: str
@@ -70,6 +71,7 @@ class RunFailed:
     hints: tuple[str, ...] = ()
     retryable: bool = False
     stage: str = ""
+    ran_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from capture2vr.gateway.errors import Problem
-from capture2vr.gateway.jobs.job import Event, Job, Lease, Order, State
+from capture2vr.gateway.jobs.job import YIELDED, Event, Job, Lease, Order, State
 from capture2vr.gateway.jobs.reports import (
     CANCELLED,
     DRAINING,
+    JOB_YIELDED,
     AnchorsFound,
     Report,
     RunFailed,
@@ -43,6 +44,7 @@ RUNNING_STATES = frozenset({State.RUNNING, State.CANCELLING})
 """States in which a worker may be running the job."""
 
 _TOKEN_BYTES = 16
+_YIELD_PAUSE_S = 5.0  # in which a job that waits takes the slot
 _LONGEST_PAUSE_S = 60.0  # between attempts: a worker that restarts within a minute gets the job
 
 
@@ -181,6 +183,10 @@ def _apply_finished(job: Job, report: RunFinished, now: float) -> Change:
 def _apply_failed(job: Job, report: RunFailed, now: float, retry: Retry) -> Change:
     if report.code == DRAINING:  # a worker's restart must not cost the job an attempt
         return requeue_refused(job, job.lease.fence, now=now, pause_s=retry.pause_s)
+    if report.code == JOB_YIELDED:
+        ran_s = job.seconds.get(YIELDED, 0.0) + report.ran_s
+        job = replace(job, seconds={**job.seconds, YIELDED: ran_s})
+        return requeue_refused(job, job.lease.fence, now=now, pause_s=_YIELD_PAUSE_S)
     why = problem_of(report)
     # A run that was cancelled although nobody requested it counts as lost.
     if _is_cancelling(job) or report.retryable or report.code == CANCELLED:

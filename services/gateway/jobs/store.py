@@ -26,6 +26,7 @@ from capture2vr.gateway.jobs.job_news import announce
 from capture2vr.gateway.jobs.queue_order import (
     by_oldest_job,
     earliest_start,
+    job_waits,
     oldest_ready,
     orphaned_jobs,
     running_jobs,
@@ -251,6 +252,11 @@ class JobStore:
             start = earliest_start(db, now)
             is_ready = start is not None and start <= now
             return QueueState(start, running_jobs(db).by_worker if is_ready else {})
+
+    def waits(self, now: float, presets: Collection[str], *, has_run: bool) -> bool:
+        """Return whether a queued job of these presets may start now; has_run: one, too, that was leased before."""
+        with self._engine.begin() as db:
+            return job_waits(db, presets, now, has_run=has_run)
 
     def claim(
         self, now: float, presets: Collection[str], transition: Callable[[Job], Change], slot: Slot | None = None

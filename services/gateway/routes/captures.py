@@ -31,6 +31,7 @@ from capture2vr.gateway.photo_boxes import BoxQuery, parse_box
 from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
 from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import AllCoded, Coded, problems
+from capture2vr.gateway.uploads.accept import Uploader
 from capture2vr.gateway.uploads.receive import body_of
 from capture2vr.sentences.documents import with_sentences
 from capture2vr.sentences.sentence import say
@@ -67,9 +68,9 @@ class FileVerdict(BaseModel):
 
 
 class CaptureView(BaseModel):
-    """A stored capture. `inspected`: whether a worker has read it; if not, kind, format, frames and points are not
-    known yet. `collection` is the one that the upload named; jobs that name none use it. `continues` is the capture
-    whose photos it has too, "" for none.
+    """A stored capture. `inspected`: whether a worker has read it, as none had of a few that former versions stored:
+    their kind, format, frames and points are not known. `collection` is the one that the upload named; jobs that name
+    none use it. `continues` is the capture whose photos it has too, "" for none.
     """
 
     model_config = ConfigDict(
@@ -153,11 +154,9 @@ class CaptureDeletionView(BaseModel):
 
 class OutlineView(BaseModel):
     """The object in a photo: closed lines around it, of corners [x, y] as shares of the upright photo's width and
-    height. Captures of another kind have none. `warnings` says where the choice is doubtful; `inspected`: whether a
-    worker could look.
+    height. Captures of another kind have none. `warnings` says where the choice is doubtful.
     """
 
-    inspected: bool
     kind: str
     outline: list[list[Annotated[list[float], Field(min_length=2, max_length=2)]]]
     warnings: list[str]
@@ -208,8 +207,9 @@ async def upload_capture(
     with gateway.access.limits.upload(tenant, limits.uploads_at_once):
         allowance = await usage.allowance(tenant, limits)
         uploads, store = gateway.captures.uploads, store_of(request)
+        uploader = Uploader(tenant, limits.processor_s_per_minute, allowance.check)
         body, rectangle = body_of(request), parse_box(box)
-        receipt = await uploads.accept(request, body, store, rectangle, allowance.check, new_capture(), continues)
+        receipt = await uploads.accept(request, body, store, rectangle, uploader, new_capture(), continues)
         if caller.key:
             await usage.add(tenant, receipt["bytes"])
     return CaptureView.of(receipt)
@@ -231,7 +231,8 @@ async def outline_photo(request: Request, gateway: GatewayOf, box: BoxQuery = ""
     tenant, limits = caller_of(request).tenant, await limits_of(request)
     allowance = Allowance(limits.capture_bytes)  # what is stored does not matter: this is not
     with gateway.access.limits.upload(tenant, limits.uploads_at_once):
-        found = await gateway.captures.uploads.outline(request, parse_box(box), allowance.check)
+        uploader = Uploader(tenant, limits.processor_s_per_minute, allowance.check)
+        found = await gateway.captures.uploads.outline(request, parse_box(box), uploader)
     return OutlineView.model_validate(for_reader(found))
 
 

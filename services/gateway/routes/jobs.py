@@ -10,6 +10,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
@@ -17,6 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.access.limits import TenantLimits
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.jobs.async_store import AsyncJobStore
@@ -191,8 +193,8 @@ async def follow_job(
 
 @router.get("/presets", response_model=Presets, dependencies=[needs(*Scope)])
 async def list_presets(request: Request) -> Presets:
-    """List the presets that the workers offer, the memory that each takes, and the default."""
-    known = await _known_presets(request)
+    """List the presets that the caller's jobs may name, the memory that each takes, and the default."""
+    known = await _allowed_presets(request)
     return Presets(presets=[PresetView.of(preset) for preset in known.values()], default=next(iter(known)))
 
 
@@ -220,8 +222,8 @@ async def _create_once(
     tenant = caller_of(request).tenant
     job: Job | None = await job_store.read(JobStore.find_by_key, tenant, idempotency_key, sha256)
     if job is None:
-        order = await make_order()
         limits = await limits_of(request)
+        order = replace(await make_order(), most_seconds=_most_seconds(request, limits))
         job = await job_store.write(
             JobStore.create,
             tenant,
@@ -324,7 +326,10 @@ async def _require_capture(capture: str, request: Request) -> None:
 
 
 async def _known_preset(preset: str, request: Request) -> str:
-    """Return the preset, or the default for "". Raises Problem PRESET_UNKNOWN for one that no worker offers."""
+    """Return the preset, or the default for "".
+
+    Raises Problem PRESET_UNKNOWN for one that no worker offers, PRESET_NOT_ALLOWED for one that is not for the caller.
+    """
     known = await _known_presets(request)
     if preset and preset not in known:
         known = await _known_presets(request, refresh=True)  # a worker that started since then may offer more
@@ -332,7 +337,26 @@ async def _known_preset(preset: str, request: Request) -> str:
         names = ", ".join(known)
         detail = say("no_preset_presets", preset=preset, names=names)
         raise Problem(422, "PRESET_UNKNOWN", detail, hints=(say("use_one", names=names),))
-    return preset or next(iter(known))
+    allowed = await _allowed_presets(request)
+    if preset and preset not in allowed:
+        hints = (say("use_one", names=", ".join(allowed)), say("ask_operator"))
+        raise Problem(403, "PRESET_NOT_ALLOWED", say("preset_not_allowed", preset=preset), hints=hints)
+    return preset or next(iter(allowed))
+
+
+async def _allowed_presets(request: Request) -> Mapping[str, WorkerPreset]:
+    """Return the presets that the caller's jobs may name, by name, the default first."""
+    known = await _known_presets(request)
+    if Scope.OPERATE in caller_of(request).scopes:
+        return known
+    named = (await limits_of(request)).presets
+    allowed = {name: each for name, each in known.items() if (name in named if named else not each.literature)}
+    return allowed or dict(islice(known.items(), 1))  # none of those that a tenant may name is on offer
+
+
+def _most_seconds(request: Request, limits: TenantLimits) -> int:
+    """Return how long a job of the caller may compute; 0: as long as a worker lets it."""
+    return 0 if Scope.OPERATE in caller_of(request).scopes else limits.job_seconds
 
 
 async def _known_presets(request: Request, *, refresh: bool = False) -> Mapping[str, WorkerPreset]:

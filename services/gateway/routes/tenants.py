@@ -25,6 +25,7 @@ router = APIRouter(prefix="/v1", tags=["access"])
 _MOST = 1 << 60  # of any limit: what a database's integer holds
 
 Name = Annotated[str, Path(max_length=32, pattern=f"^{TENANT_PATTERN}$", description="Name of a tenant.")]
+PresetName = Annotated[str, Field(min_length=1, max_length=100)]
 Count = Annotated[int, Field(strict=True, ge=0, le=_MOST)]
 
 
@@ -56,7 +57,11 @@ class TenantPage(BaseModel):
 
 
 class LimitsView(BaseModel):
-    """Limits of a tenant; 0 is no limit. `jobs_at_once` counts jobs that have not ended."""
+    """Limits of a tenant; 0 is no limit. `jobs_at_once` counts jobs that have not ended; `job_seconds` is what one may
+    compute, `processor_s_per_minute` is for the checks and inspections of uploads. `presets` are those that jobs may
+    name; none: all but the methods from the literature. Operators' jobs may name all, and compute as long as a worker
+    lets them.
+    """
 
     requests_per_minute: int
     uploads_at_once: int
@@ -64,6 +69,9 @@ class LimitsView(BaseModel):
     jobs_per_day: int
     stored_bytes: int
     capture_bytes: int
+    job_seconds: int
+    processor_s_per_minute: int
+    presets: list[str]
 
 
 class LimitsRequest(StrictBody):
@@ -75,6 +83,9 @@ class LimitsRequest(StrictBody):
     jobs_per_day: Count | None = None
     stored_bytes: Count | None = None
     capture_bytes: Count | None = None
+    job_seconds: Count | None = None
+    processor_s_per_minute: Count | None = None
+    presets: Annotated[list[PresetName], Field(max_length=100)] | None = None
 
 
 class UsageView(BaseModel):
@@ -85,7 +96,7 @@ class UsageView(BaseModel):
 
     tenant: str
     limits: LimitsView
-    own_limits: dict[str, int]
+    own_limits: dict[str, int | list[str]]
     jobs: int
     jobs_today: int
     stored_bytes: int

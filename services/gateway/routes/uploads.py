@@ -26,6 +26,7 @@ from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
 from capture2vr.gateway.routes.captures import CaptureView, Continues
 from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.uploads.accept import Uploader
 from capture2vr.gateway.uploads.receive import batches, require_media_type
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.sentences.sentence import say
@@ -219,12 +220,14 @@ async def _make_capture(request: Request, upload: Upload, store: Store, box: Pho
     """Store an upload's capture, unless a gateway that died had stored it already. Raises Problem."""
     gateway, caller = gateway_of(request), caller_of(request)
     resumable, usage = gateway.captures.resumable, gateway.access.usage
-    allowance = (await usage.allowance(caller.tenant, await limits_of(request))).without(upload.length)
+    limits = await limits_of(request)
+    allowance = (await usage.allowance(caller.tenant, limits)).without(upload.length)
+    uploader = Uploader(caller.tenant, limits.processor_s_per_minute, allowance.check)
     async with resumable.finishing(upload) as held:
         if not await in_thread(lambda: is_stored(store, held.capture)):
             chunks = await resumable.run(lambda: resumable.database.chunks(held.id))
             body = resumable.body_of(held, chunks, store)
-            await gateway.captures.uploads.accept(request, body, store, box, allowance.check, held.capture, continues)
+            await gateway.captures.uploads.accept(request, body, store, box, uploader, held.capture, continues)
         ended = await resumable.run(lambda: resumable.database.finish(held.id, time.time()))
     if ended and caller.key:
         size = await in_thread(lambda: read_receipt(store, lambda receipt: int(receipt["bytes"]), held.capture))

@@ -24,10 +24,11 @@ from capture2vr.gateway.errors import Problem, storage_full
 from capture2vr.gateway.jobs.capture_objects import capture_name, put_private, receipt_name, unknown_capture
 from capture2vr.gateway.jobs.collection_choice import require_collection
 from capture2vr.gateway.settings import GatewaySettings
-from capture2vr.gateway.uploads.check_and_pack import CheckOrder, earlier_archive_of
+from capture2vr.gateway.uploads.check_and_pack import CheckOrder, PackedFiles, earlier_archive_of
 from capture2vr.gateway.uploads.check_processes import CheckProcesses
 from capture2vr.gateway.uploads.receive import ReceivedUpload, UploadBody, UploadLimits, body_of, receive
 from capture2vr.gateway.uploads.refusal import Refused
+from capture2vr.gateway.uploads.turns import Turns
 from capture2vr.gateway.uploads.validate import FileReport
 from capture2vr.gateway.workers.worker_client import Inspection, WorkerPool
 from capture2vr.order.one_line import one_line
@@ -41,20 +42,32 @@ _WRITERS = 8  # threads: writing to disk is mostly waiting
 _COPIES = 3  # of an upload on the disk at worst: as received, unpacked, packed
 _ABANDONED_S = 24 * 3600.0  # a staging folder or file of this age was left by a gateway that crashed
 
-_UNKNOWN = Inspection("", "", 0, 0, (), None)  # while no worker can look
-
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
-class _PackedCapture:
-    """A validated and packed capture, with its hash, its names, and the result for each file."""
+class Uploader:
+    """Whose upload it is, and what it may cost.
+
+    processor_s  processor seconds a minute for checks and inspections of the tenant's uploads; 0: no limit
+    check_size   raises Problem for a capture of so many bytes; called before anything is read, and when it is packed
+    """
+
+    tenant: str
+    processor_s: int
+    check_size: Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _InspectedCapture:
+    """A validated, packed and inspected capture, with its hash, its names, and the result for each file."""
 
     archive: Path
     sha256: str
     name: str
     collection: str
     verdicts: Sequence[FileReport]
+    inspection: Inspection
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +91,7 @@ class _Earlier:
 
 
 class Uploads:
-    """Accepts uploads, many at once: threads write them to disk, processes check them.
+    """Accepts uploads, many at once: threads write them to disk, processes check them, and workers inspect them.
 
     Must be created on the event loop that serves the requests.
     """
@@ -88,6 +101,7 @@ class Uploads:
         self._workers = workers
         self._staging = settings.data_dir / "uploads"
         self._checks = checks
+        self._turns = Turns()
         self._writers = CapacityLimiter(_WRITERS)
         self._staging.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(self._staging)
@@ -98,7 +112,7 @@ class Uploads:
         body: UploadBody,
         store: Store,
         box: PhotoBox | None,
-        check_size: Callable[[int], None],
+        uploader: Uploader,
         capture: str,
         continues: str = "",
     ) -> dict[str, Any]:
@@ -108,40 +122,33 @@ class Uploads:
         store       of the caller's tenant
         capture     the new capture's id
         box         rectangle around the object in a photo, for its inspection
-        check_size  raises Problem for a capture of so many bytes; called before anything is read, and when it is packed
         continues   id of the stored capture whose photos the new one has too; "": none
         """
-        check_size(body.size)
+        uploader.check_size(body.size)
         with capture_span("receive capture", capture):
             earlier = _Earlier(store, continues) if continues else None
-            async with self._inspected(request, body, box, earlier) as (packed, inspection):
-                check_size(packed.archive.stat().st_size)
-                receipt = _receipt(capture, continues, packed, inspection)
-                return await self._store_capture(store, receipt, packed.archive)
+            async with self._inspected(request, body, box, uploader, earlier) as inspected:
+                uploader.check_size(inspected.archive.stat().st_size)
+                return await self._store_capture(store, _receipt(capture, continues, inspected), inspected.archive)
 
-    async def outline(
-        self, request: Request, box: PhotoBox | None, check_size: Callable[[int], None]
-    ) -> dict[str, Any]:
-        """Return the outline of the thing in the request's photo; stores nothing. Raises Problem.
-
-        check_size  raises Problem for a photo of so many bytes; called before anything is read, and when it is packed
-        """
+    async def outline(self, request: Request, box: PhotoBox | None, uploader: Uploader) -> dict[str, Any]:
+        """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""
         body = body_of(request)
-        check_size(body.size)
-        async with self._inspected(request, body, box) as (packed, found):
-            check_size(packed.archive.stat().st_size)
-            facts = found or _UNKNOWN
-            return {
-                "inspected": found is not None,
-                "kind": facts.kind,
-                "outline": facts.outline,
-                "warnings": facts.warnings,
-            }
+        uploader.check_size(body.size)
+        async with self._inspected(request, body, box, uploader) as inspected:
+            uploader.check_size(inspected.archive.stat().st_size)
+            found = inspected.inspection
+            return {"kind": found.kind, "outline": found.outline, "warnings": found.warnings}
 
     @asynccontextmanager
     async def _inspected(
-        self, request: Request, body: UploadBody, box: PhotoBox | None, earlier: _Earlier | None = None
-    ) -> AsyncIterator[tuple[_PackedCapture, Inspection | None]]:
+        self,
+        request: Request,
+        body: UploadBody,
+        box: PhotoBox | None,
+        uploader: Uploader,
+        earlier: _Earlier | None = None,
+    ) -> AsyncIterator[_InspectedCapture]:
         """Receive, check and pack the capture in a body, and have it inspected; its files are removed afterwards.
 
         Raises Problem.
@@ -154,12 +161,8 @@ class Uploads:
             received = await receive(body, folder / "in", self._limits, self._write)
             name, collection = _check_fields(received)
             order = self._order(folder, received, continues=earlier is not None)
-            files = await _unless_client_leaves(request, self._checks.check(order))
-            packed = _PackedCapture(files.archive, files.sha256, name, collection, files.verdicts)
-            inspection = await _unless_client_leaves(request, self._workers.inspect(packed.archive, box))
-            if inspection is not None and inspection.failure is not None:
-                raise inspection.failure
-            yield packed, inspection
+            files, inspection = await _unless_client_leaves(request, self._inspect(order, box, uploader))
+            yield _InspectedCapture(files.archive, files.sha256, name, collection, files.verdicts, inspection)
         except Refused as refused:
             raise Problem(refused.status, refused.code, refused.detail, hints=refused.hints) from None
         except OSError as error:
@@ -170,6 +173,17 @@ class Uploads:
             # In a thread, because deleting thousands of files takes a while; shielded, so that a client's disconnect
             # does not stop it.
             await asyncio.shield(asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True))
+
+    async def _inspect(
+        self, order: CheckOrder, box: PhotoBox | None, uploader: Uploader
+    ) -> tuple[PackedFiles, Inspection]:
+        """Wait for a turn, then check and pack the files, and have a worker inspect them. Raises Problem."""
+        async with self._turns.turn(uploader.tenant, uploader.processor_s) as spend:
+            files = await self._checks.check(order, spend)
+            inspection = await self._workers.inspect(files.archive, box, spend)
+        if inspection.failure is not None:
+            raise inspection.failure
+        return files, inspection
 
     def check_free_space(self, size: int) -> None:
         """Refuse an upload of so many bytes that does not fit on the disk, before reading it. Raises Problem."""
@@ -245,9 +259,9 @@ def _check_fields(received: ReceivedUpload) -> tuple[str, str]:
         raise Problem(422, "NAME_INVALID", str(error), hints=(say("change_field_name"),)) from None
 
 
-def _receipt(capture: str, continues: str, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
+def _receipt(capture: str, continues: str, packed: _InspectedCapture) -> dict[str, Any]:
     """Return the receipt: the answer to the upload, which is also stored."""
-    facts = inspection or _UNKNOWN
+    facts = packed.inspection
     return {
         "capture": capture,
         "name": packed.name,
@@ -256,7 +270,7 @@ def _receipt(capture: str, continues: str, packed: _PackedCapture, inspection: I
         "created": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
         "bytes": packed.archive.stat().st_size,
         "sha256": packed.sha256,
-        "inspected": inspection is not None,
+        "inspected": True,  # captures of former versions may not be
         "kind": facts.kind,
         "format": facts.format,
         "frames": facts.frames,

@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from anyio import CapacityLimiter
-
 from capture2vr.gateway.errors import Problem, storage_full
-from capture2vr.gateway.forked_talk import talk
+from capture2vr.gateway.forked_talk import no_spend, talk
 from capture2vr.gateway.uploads.check_and_pack import CheckOrder, PackedFiles, archive_of
 from capture2vr.gateway.uploads.refusal import SEND_FEWER
 from capture2vr.gateway.uploads.validate import FileReport
 from capture2vr.process.fork_client import ForkServer
 from capture2vr.sentences.sentence import say
 
-_AT_ONCE = 4  # checks, each with up to 768 MB; more would slow each other down on a small machine
 # Signals by which the kernel ends a check that has used up its processor time, its time on the clock, or all memory.
 _USED_UP = (signal.SIGXCPU, signal.SIGALRM, signal.SIGKILL)
 
 
 class CheckProcesses:
-    """Checks uploads, a few at once, each in a process that ends with its check."""
+    """Checks uploads, each in a process that ends with its check. turns.py says how many at once."""
 
     def __init__(self, server: ForkServer | None = None) -> None:
-        self._at_once = CapacityLimiter(_AT_ONCE)
         self._server = server or ForkServer.of("capture2vr.gateway.uploads.check_work")
 
     def start(self) -> None:
@@ -37,13 +34,14 @@ class CheckProcesses:
         """Terminate the fork server, and the checks that run."""
         self._server.close()
 
-    async def check(self, order: CheckOrder) -> PackedFiles:
+    async def check(self, order: CheckOrder, spend: Callable[[float], None] = no_spend) -> PackedFiles:
         """Check an upload and pack its files. When cancelled, returns once the check's process has ended.
+
+        spend  is told the processor seconds that it took, however it ends
 
         Raises Problem.
         """
-        async with self._at_once:
-            return _result(order, await talk(self._server.fork(), asdict(order)))
+        return _result(order, await talk(self._server.fork(), asdict(order), spend))
 
 
 def _result(order: CheckOrder, said: dict[str, Any]) -> PackedFiles:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import time
 from collections import Counter
-from collections.abc import AsyncGenerator, Collection, Iterator, Sequence
+from collections.abc import AsyncGenerator, Callable, Collection, Iterator, Sequence
 from contextlib import aclosing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import grpc
@@ -22,7 +23,7 @@ from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api.grpc_client import CHUNK_BYTES as CHUNK_BYTES  # read by those who send captures
 from capture2vr.edge.api.grpc_client import RUN_S, SILENCE_S, GrpcClient, StreamEnded, file_chunks
 from capture2vr.edge.api.header_options import header_fields, wire_box
-from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.errors import RETRY_S, Problem
 from capture2vr.gateway.jobs.job import Job
 from capture2vr.gateway.jobs.reports import (
     AnchorsFound,
@@ -48,12 +49,14 @@ from capture2vr.gateway.workers.worker_types import (
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.process.grpc_security import NO_CREDENTIALS, ClientCredentials
 from capture2vr.sentences.documents import read_codes
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
 
 _log = logging.getLogger(__name__)
 
 POLL_S = 1.0  # deadline of a status request: a worker that needs longer counts as absent
-INSPECT_S = 120.0  # deadline of an inspection: uploading 1 GB within a data centre and reading its headers
+INSPECT_S = 440.0  # deadline of an inspection: uploading 2 GB within a data centre, and the worker's own limit
+_INSPECTOR_S = 20.0  # that an upload waits for a worker: one that is restarted is back before
 DOWNLOAD_S = 900.0  # deadline of a download: those before it in the worker's line, and then its own five minutes
 CANCEL_S = 2.0  # deadline of a cancellation; it is repeated until the run ends
 _MOST_ANCHORS = 1_000  # points: every event is stored, and sent to every page that follows the job
@@ -151,19 +154,26 @@ class WorkerPool:
         self._presets_by_worker.update({status.address: status.presets for status in usable})
         return found
 
-    async def inspect(self, archive: Path, box: PhotoBox | None = None) -> Inspection | None:
-        """Have a worker inspect a packed capture; None when no worker can do so now.
+    async def inspect(self, archive: Path, box: PhotoBox | None, spend: Callable[[float], None]) -> Inspection:
+        """Have a worker inspect a packed capture, as soon as one can.
 
-        box  rectangle around the object in a photo
+        box    rectangle around the object in a photo
+        spend  is told the processor seconds that it took, or where the worker does not tell, those of the clock
+
+        Raises Problem INSPECTION_UNAVAILABLE where none can within `_INSPECTOR_S`.
         """
-        usable = [status for status in await self.poll() if status.is_compatible]
-        for status in sorted(usable, key=lambda status: (status.draining, -status.free_slots)):
-            try:
-                with self._calling(status.address) as client:
-                    return await _inspect(client, archive, box)
-            except (WorkerBusy, WorkerLost):
-                continue
-        return None
+        give_up = time.monotonic() + _INSPECTOR_S
+        while True:
+            usable = [status for status in await self.poll() if status.is_compatible]
+            for status in sorted(usable, key=lambda status: (status.draining, -status.free_slots)):
+                try:
+                    with self._calling(status.address) as client:
+                        return await _inspect(client, archive, box, spend)
+                except (WorkerBusy, WorkerLost) as error:
+                    _log.info("worker %s does not inspect %s now: %s", status.address, archive.stem, error)
+            if time.monotonic() > give_up:
+                raise _not_inspected()
+            await asyncio.sleep(POLL_S)
 
     async def make_download(self, address: str, tenant: str, order: DownloadOrder) -> StoredDownload:
         """Have a worker convert an asset of a tenant to another format, and write the file to the store.
@@ -206,6 +216,17 @@ class WorkerPool:
             async with aclosing(_reports(events)) as reports:
                 async for report in reports:
                     yield report
+
+    async def make_room(self, address: str, job: Job) -> bool:
+        """Have a run yield its slot, if it can go on from a checkpoint later, and return whether it does.
+
+        Its last report is then a `RunFailed` JOB_YIELDED. Raises WorkerLost.
+        """
+        with self._calling(address) as client:
+            try:
+                return await client.make_room(job.id, job.token, CANCEL_S)
+            except grpc.aio.AioRpcError as error:
+                raise WorkerLost(f"{address}: {error.details()}") from None
 
     async def cancel(self, address: str, job: Job) -> bool:
         """Cancel a run, and return whether the worker had it. Raises WorkerLost."""
@@ -283,16 +304,27 @@ class WorkerPool:
         return self._clients[address]
 
 
-async def _inspect(client: GrpcClient, archive: Path, box: PhotoBox | None) -> Inspection:
+async def _inspect(
+    client: GrpcClient, archive: Path, box: PhotoBox | None, spend: Callable[[float], None]
+) -> Inspection:
     header = pb.Header(job=archive.stem, capture_bytes=archive.stat().st_size, box=wire_box(box))
+    began, took_s = time.monotonic(), 0.0
     try:
         answer = await client.inspect(header, file_chunks(archive), INSPECT_S)
+        took_s = answer.processor_s
     except grpc.aio.AioRpcError as error:
         raise _to_exception(error.code(), error.details() or error.code().name) from None
+    finally:
+        spend(took_s or time.monotonic() - began)
     failure = problem_of(_failed(0, answer.failure)) if answer.HasField("failure") else None
     outline = tuple(tuple(zip(line.xy[::2], line.xy[1::2], strict=True)) for line in answer.outline)
     warnings = _coded_warnings(answer)
     return Inspection(answer.kind, answer.format, answer.frames, answer.points, warnings, failure, outline)
+
+
+def _not_inspected() -> Problem:
+    headers = {"Retry-After": str(RETRY_S)}
+    return Problem(503, "INSPECTION_UNAVAILABLE", say("no_worker_can_inspect"), retryable=True, headers=headers)
 
 
 def _header(job: Job, size: int) -> pb.Header:
@@ -304,6 +336,7 @@ def _header(job: Job, size: int) -> pb.Header:
         tenant=job.tenant,
         token=job.token,
         capture=job.order.capture,
+        most_seconds=job.seconds_left,
         **header_fields(job.order.options),
     )
 
@@ -330,7 +363,7 @@ def _report(event: pb.Event) -> Report:
         case "published":
             return _version_published(event.seq, event.published)
         case "failure":
-            return _failed(event.seq, event.failure)
+            return replace(_failed(event.seq, event.failure), ran_s=event.elapsed_s)
         case "finished":
             warnings = _coded_warnings(event.finished)
             return RunFinished(event.seq, warnings, dict(event.finished.seconds))

@@ -3,7 +3,7 @@
 import { outlinePhoto } from '../shared/api.js';
 import { thumbnailOf } from './guidance.js';
 import { create, element } from '../shared/dom.js';
-import { isConnectionProblem, sentences } from '../shared/problems.js';
+import { isTemporary, sentences } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 import { storedName } from '../shared/upload-form.js';
 
@@ -129,7 +129,7 @@ async function lookAgain() {
   }
   document.body.dataset.outlined = '';
   page.note.textContent = t('Looking for the object …');
-  const text = await findOutline(file, request).catch((error) => (isConnectionProblem(error) ? '' : sentences(error)));
+  const text = await findOutline(file, request).catch((error) => (isTemporary(error) ? '' : sentences(error)));
   if (request !== lastRequest) return;
   page.note.textContent = text || LATER;
   if (text) document.body.dataset.outlined = String(request);
@@ -141,11 +141,10 @@ async function lookAgain() {
  * copy may be another.
  * @param {File} photo
  * @param {number} request
- * @returns {Promise<string>} what to tell the person; empty while no worker can look
+ * @returns {Promise<string>} what to tell the person; empty while no worker can look, and while others' photos are before this one
  */
 async function findOutline(photo, request) {
-  const { inspected, outline } = await outlinePhoto(photo, box);
-  if (!inspected) return '';
+  const { outline } = await outlinePhoto(photo, box);
   if (request === lastRequest) drawOutline(outline);
   return box
     ? t('This will be made into a mesh.')

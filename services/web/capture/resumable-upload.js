@@ -1,7 +1,7 @@
 // Sends large captures so that they go on after a lost connection, a locked phone, a reloaded page or a server that restarts (tus 1.0).
 // What is sent is the form that a plain upload has. The browser's storage keeps which upload the chosen files belong to.
 import { finishUpload, uploadCapture } from '../shared/api.js';
-import { Problem, isConnectionProblem, noAnswer, offline, parseAnswer } from '../shared/problems.js';
+import { Problem, isConnectionProblem, isTemporary, noAnswer, offline, parseAnswer } from '../shared/problems.js';
 import { NETWORK_SILENCE_MS, UPLOAD_PAUSE_MS } from '../shared/time-limits.js';
 import { formOf, newFiletype, partOf, pathOf } from '../shared/upload-form.js';
 
@@ -12,7 +12,6 @@ import { formOf, newFiletype, partOf, pathOf } from '../shared/upload-form.js';
 const RESUMABLE_BYTES = 4 << 20; // of an upload that can go on; a smaller one is sent again within seconds
 const CHUNK_BYTES = 16 << 20; // of one request; the server keeps also what comes of one that breaks off
 const MOST_ATTEMPTS = 60; // without a byte that gets through: two minutes, or more while the phone sleeps
-const AGAIN = [408, 409, 423, 425, 429, 500, 502, 503, 504]; // answers after which the same may succeed
 const REFUSED = [400, 409, 413, 415, 422]; // of a capture, for what it is
 const KEPT_MS = 86_400_000; // the server forgets an upload a day after its last byte
 const STORED = 'tus::'; // how the library begins the names of what it stores
@@ -34,7 +33,11 @@ const STORED = 'tus::'; // how the library begins the names of what it stores
  */
 export async function sendCapture(files, name, about, progress) {
   const size = files.reduce((sum, file) => sum + file.size, 0);
-  if (size < RESUMABLE_BYTES) return uploadCapture(files, name, about, progress.onProgress);
+  if (size < RESUMABLE_BYTES) {
+    const send = (/** @type {(fraction: number) => void} */ onProgress) =>
+      uploadCapture(files, name, about, onProgress);
+    return persist(progress, send, (error) => isTemporary(error) && !isConnectionProblem(error));
+  }
   const { Upload, defaultOptions } = await import('../vendor/tus-js-client-4.3.1.index.js').catch(() => {
     throw offline();
   });
@@ -84,10 +87,11 @@ export function unfinishedFiles() {
  * @template T
  * @param {Progress} progress
  * @param {(onProgress: (fraction: number) => void) => Promise<T>} work
+ * @param {(error: unknown) => boolean} again whether to try again after an error
  * @returns {Promise<T>}
  * @throws {Problem} the last one
  */
-async function persist({ onProgress, onWaiting }, work) {
+async function persist({ onProgress, onWaiting }, work, again = isTemporary) {
   let attempts = 0;
   let best = 0;
   for (;;) {
@@ -98,9 +102,8 @@ async function persist({ onProgress, onWaiting }, work) {
         onProgress(fraction);
       });
     } catch (error) {
-      const temporary = isConnectionProblem(error) || (error instanceof Problem && AGAIN.includes(error.status));
       attempts += 1;
-      if (!temporary || attempts >= MOST_ATTEMPTS) throw error;
+      if (!again(error) || attempts >= MOST_ATTEMPTS) throw error;
       onWaiting(best);
       await pause();
     }

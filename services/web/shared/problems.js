@@ -75,6 +75,16 @@ export function parseAnswer(status, text) {
  */
 export const isConnectionProblem = (error) => error instanceof Problem && ['OFFLINE', 'NO_ANSWER'].includes(error.code);
 
+const AGAIN = [408, 409, 423, 425, 429, 500, 502, 503, 504]; // answers after which the same may succeed
+
+/**
+ * Whether the same request may succeed in a while.
+ * @param {unknown} error
+ * @returns {boolean}
+ */
+export const isTemporary = (error) =>
+  isConnectionProblem(error) || (error instanceof Problem && AGAIN.includes(error.status));
+
 /**
  * Any error as a problem that people can read. One that is no problem is a fault of the page: people only read that there is one.
  * @param {unknown} error

@@ -440,7 +440,6 @@ export interface JobRequest {
 
 /** The thing in a photo: POST /v1/outlines. Closed lines of corners, as shares of the upright photo's sides. */
 export interface PhotoOutline {
-  inspected: boolean;
   outline: [x: number, y: number][][];
   warnings: string[];
 }

@@ -12,24 +12,22 @@ import json
 import os
 import statistics
 import tempfile
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import httpx
 import psutil
 
 from capture2vr.cli.up import run_stack
 from tests.bench.load.fuzz_files import Hostile, hostile
+from tests.bench.load.product import PeakMemory, processor_seconds
 
 _HANG_S = 300.0  # without an answer
 _LEFT_S = 30.0  # after the answer, for folders to go
-_SAMPLE_S = 0.01  # between two looks at the memory; the kernel keeps each process's peak in between
 _MOST_SECONDS, _MOST_MB = 5.0, 500.0
 
 
@@ -102,14 +100,14 @@ class _Service:
         self._folders = [data / "gateway" / "uploads", data / "scratch"]
         self._client = client
         self._services = {
-            name: next(each for each in psutil.Process().children() if each.cmdline()[-1] == name)
+            name: next(each for each in psutil.Process().children() if name in each.cmdline()[-2:])
             for name in ("gateway", "edge")
         }
         self._quiet = self._left()
 
     def send(self, number: int, file: Hostile) -> Outcome:
         """Upload a file, and delete it where it was accepted."""
-        before, began, peak = self._spent(), time.monotonic(), _Peak(self._services.values())
+        before, began, peak = self._spent(), time.monotonic(), PeakMemory(self._services.values())
         with peak:
             status, code, capture = self._upload(file)
         wall_s = time.monotonic() - began
@@ -132,14 +130,7 @@ class _Service:
         return answer.status_code, code, said.get("capture", "")
 
     def _spent(self) -> float:
-        """Processor seconds of the services and of all that they have started, ended or not."""
-        seconds = 0.0
-        for service in self._services.values():
-            for process in (service, *service.children(recursive=True)):
-                with suppress(psutil.NoSuchProcess):
-                    spent = process.cpu_times()
-                    seconds += spent.user + spent.system + spent.children_user + spent.children_system
-        return seconds
+        return processor_seconds(self._services.values())
 
     def _wait_for_quiet(self) -> int:
         """Wait until no more lies in the folders than at the start; return how much more there is in the end."""
@@ -150,32 +141,6 @@ class _Service:
 
     def _left(self) -> set[str]:
         return {f"{folder}/{name}" for top in self._folders for folder, _, names in os.walk(top) for name in names}
-
-
-class _Peak:
-    """Watches the memory of all processes below some others; `mb` is the most that one had."""
-
-    def __init__(self, above: Any) -> None:
-        self._above = list(above)
-        self._ends = threading.Event()
-        self._thread = threading.Thread(target=self._watch)
-        self.mb = 0.0
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._ends.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        while not self._ends.wait(_SAMPLE_S):
-            for service in self._above:
-                for process in service.children(recursive=True):
-                    with suppress(OSError, StopIteration):
-                        lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
-                        peak = next(line for line in lines if line.startswith("VmHWM"))
-                        self.mb = max(self.mb, int(peak.split()[1]) / 1024)
 
 
 @contextmanager

@@ -35,6 +35,7 @@ from capture2vr.storage.tenant_store import store_of_tenant, tenant_prefix
 from tests.support.in_process_gateway import capture
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
 from tests.support.tenants import bearer, make_key
+from tests.support.workers.inspecting_worker import inspecting_worker
 
 OWNER = ALL_SCOPES - {Scope.OPERATE}
 _PATIENCE_S = 120.0
@@ -284,14 +285,14 @@ def _site(folder: Path, *, slots: int, gateways: int = 1, workers: int = 1) -> I
 
 @contextmanager
 def _gateway(folder: Path, name: str, **variables: object) -> Iterator[str]:
-    """A gateway process on a folder of that name, without workers; its URL."""
+    """A gateway process on a folder of that name, with a worker that only inspects; its URL."""
     port = free_port()
     process = ServiceProcess(
         "capture2vr.gateway",
         folder / f"{name}.log",
         GATEWAY_PORT=port,
         GATEWAY_DATA_DIR=folder / name,
-        GATEWAY_WORKERS="127.0.0.1:9",
+        GATEWAY_WORKERS=inspecting_worker(),
         GATEWAY_LOG_LEVEL="WARNING",
         GATEWAY_LIMIT_REQUESTS_PER_MINUTE=0,
         STORAGE_ROOT=folder / name / "objects",

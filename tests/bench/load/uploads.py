@@ -32,6 +32,7 @@ from tests.bench.interrupted_film import film_with_cuts
 from tests.support.photos.private_pictures import telling_exif
 from tests.support.tenants import bearer, make_key
 from tests.support.tus import PART, TUS, metadata
+from tests.support.workers.inspecting_worker import inspecting_worker
 
 PHONES, PHOTOS, PHOTO_BYTES = 32, 8, 2_500_000
 _PROBE_S, _SAMPLE_S = 0.02, 0.05  # between two questions for the job, between two looks at the memory
@@ -86,14 +87,14 @@ class Door:
 
 @contextmanager
 def gateway(folder: Path, *, keys: bool) -> Iterator[Door]:
-    """A gateway process without a worker on an empty folder."""
+    """A gateway process on an empty folder."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     environment = os.environ | {
         "GATEWAY_PORT": str(port),
         "GATEWAY_DATA_DIR": str(folder / "data"),
-        "GATEWAY_WORKERS": "127.0.0.1:9",  # discard: nobody answers, so nothing but the gateway is measured
+        "GATEWAY_WORKERS": inspecting_worker(),  # which reads nothing, so nothing but the gateway is measured
         "GATEWAY_LOG_LEVEL": "WARNING",
         "STORAGE_ROOT": str(folder / "objects"),
     }

@@ -9,6 +9,7 @@ import time
 import zipfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +193,17 @@ def test_a_job_that_takes_too_long_ends_whether_it_talks_or_not(tmp_path: Path, 
         closing(processes(does, most_seconds=0.5)) as started,
         started.running(task_in(tmp_path), ignore) as process,
         pytest.raises(EdgeError, match="more than") as ended,
+    ):
+        list(process.steps())
+    assert ended.value.code == "JOB_TOO_LONG"
+
+
+def test_a_job_may_have_less_time_than_its_worker_gives(tmp_path: Path) -> None:
+    task = replace(task_in(tmp_path), most_seconds=0.5)
+    with (
+        closing(processes("time.sleep(600)")) as started,
+        started.running(task, ignore) as process,
+        pytest.raises(EdgeError) as ended,
     ):
         list(process.steps())
     assert ended.value.code == "JOB_TOO_LONG"

@@ -15,6 +15,7 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
+from capture2vr.edge.worker.health import is_serving
 from tests.support.patience import HANG_S, PATIENCE_S
 from tests.support.repository import ROOT
 from tests.support.workers.edge_client import Client, leftovers, upload
@@ -174,7 +175,18 @@ async def test_two_workers_do_not_share_a_port(tmp_path: Path) -> None:
             assert f"cannot listen on 127.0.0.1:{port}: choose another EDGE_HOST or EDGE_PORT" in second.log
 
 
-async def test_an_open_address_is_announced(tmp_path: Path) -> None:
+async def test_an_address_that_others_reach_needs_a_token_or_an_open_worker(tmp_path: Path) -> None:
     async with process(tmp_path, host="0.0.0.0") as worker:
+        assert await worker.status() == 1
+        assert "EDGE_HOST=0.0.0.0: everybody who reaches this address could run jobs" in worker.log
+    async with process(tmp_path, host="0.0.0.0", open="true") as worker:
         await worker.reads("listening on")
-        await worker.reads("no EDGE_TOKEN is set")
+        await worker.reads("EDGE_OPEN: everybody who reaches 0.0.0.0 may run jobs")
+
+
+async def test_a_worker_listens_on_a_socket_of_the_file_system(tmp_path: Path) -> None:
+    address = f"unix:{tmp_path / 'edge.sock'}"
+    for _ in range(2):  # the first one's socket is left, as by a kill
+        async with process(tmp_path, host=address) as worker:
+            await worker.reads(f"listening on {address}")
+            assert await asyncio.to_thread(is_serving, address)

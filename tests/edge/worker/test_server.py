@@ -417,6 +417,29 @@ async def test_a_cancelled_job_leaves_no_checkpoint(client: Client, scratch: Pat
     await until(lambda: not list(scratch.glob("checkpoints/*")))
 
 
+async def test_a_job_yields_its_slot_at_a_checkpoint_and_goes_on_from_it(client: Client, work: Scripted) -> None:
+    call = await waiting(client, token="secret")
+    behind = await queued(client, "job_2")
+    assert not await client.make_room(token="guess")
+    assert not await client.make_room("job_2", "secret"), "it waits itself"
+    assert await client.make_room(token="secret")
+    assert [event async for event in call][-1].failure.code == "JOB_YIELDED"
+    work.release.set()
+    assert [event async for event in behind][-1].HasField("finished")
+    assert (await client.ended(b"wait", token="secret", fence=2))[-1].HasField("finished")
+    assert work.found["job_1"] == "waited"
+
+
+async def test_a_job_without_a_checkpoint_does_not_yield(client: Client, work: Scripted) -> None:
+    call = client.reconstruct(b"deaf")
+    async for event in call:
+        if event.HasField("progress"):
+            break
+    assert not await client.make_room()
+    work.release.set()
+    assert (await client.attached())[-1].HasField("finished")
+
+
 async def test_the_time_left_follows_the_recent_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(event_log.time, "monotonic", lambda: now[0])

@@ -23,7 +23,7 @@ class Sample(StrictSettings):
 
 def test_the_defaults_stay_on_this_machine() -> None:
     settings = EdgeSettings()
-    assert settings.loopback
+    assert settings.is_local
     assert (settings.host, settings.port, settings.slots, settings.queue) == ("127.0.0.1", 50051, 1, 8)
     assert not settings.reflection
 

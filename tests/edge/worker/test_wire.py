@@ -272,11 +272,12 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 NUMBERS = {
     "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill box cut "
-    "tenant token visibility capture description labels edits publish_anyway",
+    "tenant token visibility capture description labels edits publish_anyway most_seconds",
     "AttachRequest": "job after_seq token",
     "CancelRequest": "job token",
     "Box": "left top right bottom photo",
-    "Inspection": "kind format frames points warnings failure outline i18n",
+    "Inspection": "kind format frames points warnings failure outline i18n processor_s",
+    "YieldRequest": "job token",
     "Preset": "name summary trained memory_bytes literature takes i18n",
     "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",
     "Event": "job seq elapsed_s progress heartbeat published failure finished anchors",

@@ -60,7 +60,7 @@ async def test_jobs_are_shared_by_all_addresses_of_a_name(
     store = memory()
     async with AsyncExitStack() as stack:
         for host, work in zip(hosts, works, strict=True):
-            await stack.enter_async_context(worker(work, tmp_path / host, host=host, port=unused_tcp_port))
+            await stack.enter_async_context(worker(work, tmp_path / host, host=host, port=unused_tcp_port, open=True))
         stack.enter_context(named(monkeypatch, *hosts))
         client = await stack.enter_async_context(
             gateway(tmp_path / "gw", store, workers=(f"dns:///edge:{unused_tcp_port}",))
@@ -81,14 +81,15 @@ async def test_a_worker_that_leaves_its_name_ends_its_job_and_gets_no_other(
     store = memory()
     old, new = Making(memory()), Making(memory())
     async with AsyncExitStack() as stack:
-        await stack.enter_async_context(worker(old, tmp_path / "old", host="127.0.0.2", port=unused_tcp_port))
+        where: dict[str, Any] = {"port": unused_tcp_port, "open": True}
+        await stack.enter_async_context(worker(old, tmp_path / "old", host="127.0.0.2", **where))
         found = stack.enter_context(named(monkeypatch, "127.0.0.2"))
         client = await stack.enter_async_context(
             gateway(tmp_path / "gw", store, workers=(f"dns:///edge:{unused_tcp_port}",))
         )
         job = await start(client, capture(store, wait=1), "first")
         await job_when(client, job, lambda each: each["stage"] == "FITTING")
-        await stack.enter_async_context(worker(new, tmp_path / "new", host="127.0.0.3", port=unused_tcp_port))
+        await stack.enter_async_context(worker(new, tmp_path / "new", host="127.0.0.3", **where))
         found[:] = ["127.0.0.3"]
 
         async def moved() -> bool:
@@ -166,7 +167,7 @@ async def test_twelve_jobs_of_a_gateway_process_are_split_alike(
         store = process.store
         works = [Making(store) for _ in addresses]
         for address, work in zip(addresses, works, strict=True):
-            await stack.enter_async_context(worker(work, tmp_path / address, host=address, port=edge_port))
+            await stack.enter_async_context(worker(work, tmp_path / address, host=address, port=edge_port, open=True))
         client = await stack.enter_async_context(httpx.AsyncClient(base_url=process.url, timeout=PATIENCE_S))
 
         async def sees(count: int) -> bool:

@@ -15,6 +15,8 @@ import pytest
 
 from capture2vr.edge.worker import scratch
 from capture2vr.gateway.database.database import create_engine
+from capture2vr.gateway.dispatch import dispatcher
+from capture2vr.gateway.jobs import state_machine
 from capture2vr.gateway.jobs.tables import jobs
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.memory import MemoryStore
@@ -325,6 +327,46 @@ async def test_a_preset_whose_worker_is_busy_does_not_hold_up_the_others(tmp_pat
         assert (await client.get(f"/v1/jobs/{waiting}")).json()["state"] == "QUEUED"
         thorough.release.set()
         assert (await ended(client, waiting))["state"] == "SUCCEEDED"
+
+
+async def test_a_long_job_yields_to_one_that_waits_and_goes_on_behind_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dispatcher, "_SLICE_S", 0.0)
+    monkeypatch.setattr(dispatcher, "_WORKERS_S", 0.1)
+    monkeypatch.setattr(state_machine, "_YIELD_PAUSE_S", 1.0)
+    store = memory()
+    work = Making(store)
+    async with worker(work, tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        long = await start(client, capture(store, "long", wait=1, checkpoint=1), "long")
+        await job_when(client, long, lambda job: job["stage"] == "FITTING")
+        short = await start(client, capture(store, "short"), "short")
+        assert (await ended(client, short))["state"] == "SUCCEEDED"
+        await job_when(client, long, lambda job: job["state"] == "RUNNING")
+        work.release.set()
+        found = await ended(client, long)
+        assert (found["state"], found["attempts"]) == ("SUCCEEDED", 1)
+        assert work.runs == [long, short, long]
+
+
+async def test_a_long_job_does_not_yield_to_one_that_has_yielded_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dispatcher, "_SLICE_S", 0.0)
+    monkeypatch.setattr(dispatcher, "_WORKERS_S", 0.1)
+    monkeypatch.setattr(state_machine, "_YIELD_PAUSE_S", 0.1)
+    store = memory()
+    work = Making(store)
+    async with worker(work, tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        script = {"wait": 1, "checkpoint": 1}
+        first = await start(client, capture(store, "first", **script), "first")
+        await job_when(client, first, lambda job: job["stage"] == "FITTING")
+        second = await start(client, capture(store, "second", **script), "second")
+        await job_when(client, second, lambda job: job["stage"] == "FITTING")
+        await asyncio.sleep(0.5)  # a few looks at the queue
+        assert work.runs == [first, second]
+        work.release.set()
+        assert [(await ended(client, job))["state"] for job in (first, second)] == ["SUCCEEDED"] * 2
 
 
 async def test_a_preset_of_a_worker_that_is_away_is_still_known(tmp_path: Path) -> None:

@@ -88,9 +88,9 @@ async def test_jobs_of_an_older_gateway_are_read(tmp_path: Path, unused_tcp_port
         assert (await client.get(f"/v1/jobs/{job}")).json()["collection"] == ""
 
 
-async def test_an_upload_names_a_collection_for_its_jobs(tmp_path: Path, unused_tcp_port: int) -> None:
+async def test_an_upload_names_a_collection_for_its_jobs(tmp_path: Path) -> None:
     store = memory()
-    async with gateway(tmp_path / "gw", store, unused_tcp_port) as client:
+    async with gateway(tmp_path / "gw", store) as client:
         receipt = (await _sent(client, collection="ada")).json()
         silent = (await _sent(client)).json()
         assert (receipt["collection"], silent["collection"]) == ("ada", "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -205,6 +206,20 @@ def test_a_run_that_begins_anew_is_heard_from_its_first_word() -> None:
     job = lease_to_worker(job, holder="gw", worker="w", now=9, lease_s=10).job
     job = after(job, RunProgress(1, "VALIDATING", 0.0))
     assert (job.stage, job.fraction, job.lease.run_seq) == ("VALIDATING", 0.8, 1)
+
+
+def test_a_job_that_makes_room_has_no_fewer_attempts_and_no_more_time() -> None:
+    job = running()
+    job = replace(job, order=replace(job.order, most_seconds=100))
+    for fence in (1, 2):
+        assert job.lease.fence == fence
+        job = after(job, RunFailed(1, "JOB_YIELDED", "others wait", retryable=True, ran_s=45.0))
+        assert (job.state, job.lease.attempts) == (State.QUEUED, 0)
+        assert job.lease.not_before > 1, "another job takes the slot"
+        job = lease_to_worker(job, holder="gw", worker="w", now=9, lease_s=10).job
+    assert job.seconds_left == pytest.approx(10.0)
+    job = after(job, RunFailed(1, "JOB_YIELDED", "others wait", retryable=True, ran_s=45.0))
+    assert job.seconds_left == 1.0, "no time is left, and 0 would be no limit"
 
 
 def test_finishing_without_an_asset_is_a_failure() -> None:

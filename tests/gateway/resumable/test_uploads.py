@@ -38,6 +38,7 @@ from tests.support.patience import PATIENCE_S
 from tests.support.photos import private_pictures
 from tests.support.tenants import make_key, two_tenants
 from tests.support.tus import PART, TUS, checksum, cloud, create, created, cut, finish, metadata, offset_of, patch
+from tests.support.workers.inspecting_worker import inspecting_worker
 
 _CHUNK_BYTES = 300_000  # a batch of the network has at least 256 KB
 
@@ -81,7 +82,7 @@ async def site(folder: Path, store: Store, gateways: int = 1, **options: Any) ->
     shared = {
         "database_url": f"sqlite:///{folder / 'gateway.db'}",
         "open": True,
-        "workers": ("127.0.0.1:9",),
+        "workers": (inspecting_worker(),),
         **options,
     }
     async with AsyncExitStack() as stack:

@@ -316,6 +316,6 @@ async def test_the_last_use_of_a_key_is_stored(tmp_path: Path) -> None:
 
 
 async def test_readiness_tells_details_to_operators_only(tmp_path: Path) -> None:
-    async with two_tenants(tmp_path, memory()) as site:
+    async with two_tenants(tmp_path, memory(), 9) as site:
         assert (await site.anonymous.get("/readyz")).json() == {"ready": False, "checks": {}}
         assert set((await site.operator.get("/readyz")).json()["checks"]) == {"store", "database", "disk", "workers"}

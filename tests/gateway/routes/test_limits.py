@@ -5,17 +5,23 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
+from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.gateway.access import usage
+from capture2vr.gateway.uploads.turns import _Budget
 from capture2vr.storage.local import LocalStore
+from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
-from tests.support.in_process_gateway import capture, memory
+from tests.support.in_process_gateway import Making, capture, ended, memory, worker
 from tests.support.network.away_store import AwayStore
-from tests.support.tenants import TwoTenants, publish_for, two_tenants
+from tests.support.tenants import TwoTenants, make_key, publish_for, two_tenants
 
 _HEAD = b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property float %c\n" % axis for axis in b"xyz")
 CLOUD = _HEAD + b"end_header\n1 2 3\n"
@@ -33,7 +39,7 @@ def code(answer: httpx.Response) -> tuple[int, str]:
     return answer.status_code, answer.json()["code"]
 
 
-async def set_limits(site: TwoTenants, tenant: str, **limits: int) -> None:
+async def set_limits(site: TwoTenants, tenant: str, **limits: Any) -> None:
     answer = await site.operator.put(f"/v1/tenants/{tenant}/limits", json=limits)
     assert answer.status_code == 200, answer.text
     assert {name: answer.json()[name] for name in limits} == limits
@@ -98,6 +104,110 @@ async def test_uploads_at_once(tmp_path: Path) -> None:
         go_on.set()
         assert (await first).status_code in (400, 415, 422)
         assert (await send(site.ada)).status_code == 201, "the place is free again after a failure too"
+
+
+async def test_processor_time_of_checks_and_inspections(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """test_turns.py has what is counted, and how."""
+    monkeypatch.setattr(_Budget, "wait_s", lambda self, most_s, now: 120.0 if self.used_s and most_s == 7 else 0.0)
+    async with two_tenants(tmp_path, memory()) as site:
+        await set_limits(site, "ada", processor_s_per_minute=7)
+        assert (await send(site.ada)).status_code == 201
+        refused = await send(site.ada)
+        assert code(refused) == (429, "PROCESSOR_LIMITED")
+        assert refused.headers["retry-after"] == "120"
+        assert "7 s" in refused.json()["detail"]
+        assert code(await outline(site.ada)) == (429, "PROCESSOR_LIMITED")
+        assert (await send(site.bob)).status_code == 201
+
+
+class TestPresets:
+    """What operators may name always, and others as far as their tenant's limits say."""
+
+    async def test_the_methods_of_the_literature_are_for_operators(self, tmp_path: Path) -> None:
+        store = memory()
+        async with (
+            worker(Offering(store), tmp_path / "edge") as port,
+            two_tenants(tmp_path, store, port) as site,
+        ):
+            key = {"Authorization": f"Bearer {make_key(tmp_path / 'gw', 'ada')}"}
+            capture(store_of_tenant(store, "ada"))
+            assert await names(site.ada) == ["draft", "fine"]
+            assert await names(site.ada, key) == ["draft", "fine", "paper"]
+            assert code(await order(site.ada, "paper")) == (403, "PRESET_NOT_ALLOWED")
+            assert code(await order(site.ada, "papier")) == (422, "PRESET_UNKNOWN")
+            assert (await order(site.ada, "paper", key)).status_code == 202
+
+    async def test_a_tenant_may_have_others(self, tmp_path: Path) -> None:
+        store = memory()
+        async with (
+            worker(Offering(store), tmp_path / "edge") as port,
+            two_tenants(tmp_path, store, port) as site,
+        ):
+            capture(store_of_tenant(store, "ada"))
+            await set_limits(site, "ada", presets=["fine", "paper"])
+            assert await names(site.ada) == ["fine", "paper"]
+            assert (await order(site.ada, "paper")).status_code == 202
+            assert (await order(site.ada)).json()["preset"] == "fine"
+            refused = await order(site.ada, "draft")
+            assert code(refused) == (403, "PRESET_NOT_ALLOWED")
+            assert "fine, paper" in refused.json()["hints"][0]
+            assert await names(site.bob) == ["draft", "fine"]
+
+    async def test_a_recipe_and_a_repetition_may_not_name_it_either(self, tmp_path: Path) -> None:
+        store = memory()
+        async with (
+            worker(Offering(store), tmp_path / "edge") as port,
+            two_tenants(tmp_path, store, port) as site,
+        ):
+            capture(store_of_tenant(store, "ada"))
+            edits = {"edits": {"preset": "paper"}}
+            assert code(await site.ada.post("/v1/jobs", json={**ORDER, **edits})) == (403, "PRESET_NOT_ALLOWED")
+            await set_limits(site, "ada", presets=["paper"])
+            job = (await order(site.ada, "paper")).json()["id"]
+            await set_limits(site, "ada")
+            assert code(await site.ada.post(f"/v1/jobs/{job}/again", json={"cut": "scene"})) == (
+                403,
+                "PRESET_NOT_ALLOWED",
+            )
+
+
+async def test_what_a_job_may_compute_goes_to_its_worker_and_operators_have_no_limit(tmp_path: Path) -> None:
+    store = memory()
+    work = Offering(store)
+    async with worker(work, tmp_path / "edge") as port, two_tenants(tmp_path, store, port) as site:
+        key = {"Authorization": f"Bearer {make_key(tmp_path / 'gw', 'ada')}"}
+        capture(store_of_tenant(store, "ada"))
+        await set_limits(site, "ada", job_seconds=77)
+        jobs = [(await order(site.ada)).json()["id"], (await order(site.ada, headers=key)).json()["id"]]
+        for job in jobs:
+            await ended(site.ada, job)
+        assert work.most_seconds == dict(zip(jobs, (77.0, 0.0), strict=True))
+
+
+ORDER = {"capture": "cap_1", "asset_key": "dress"}
+
+
+class Offering(Making):
+    """Work that also offers a method of the literature, and notes what its jobs may compute."""
+
+    def __init__(self, store: Store) -> None:
+        super().__init__(store)
+        presets = (*self.offer.presets, pb.Preset(name="paper", literature=True))
+        self.offer = replace(self.offer, presets=presets)
+        self.most_seconds: dict[str, float] = {}
+
+    def reconstruct(self, archive: Path, request: ReconstructionRequest, *others: Any) -> pb.Finished:
+        self.most_seconds[request.job] = request.most_seconds
+        return super().reconstruct(archive, request, *others)
+
+
+async def names(client: httpx.AsyncClient, headers: dict[str, str] | None = None) -> list[str]:
+    answer = await client.get("/v1/presets", headers=headers)
+    return [each["name"] for each in answer.json()["presets"]]
+
+
+async def order(client: httpx.AsyncClient, preset: str = "", headers: dict[str, str] | None = None) -> httpx.Response:
+    return await client.post("/v1/jobs", json={**ORDER, **({"preset": preset} if preset else {})}, headers=headers)
 
 
 class TestBytes:

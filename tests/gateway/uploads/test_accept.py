@@ -26,6 +26,7 @@ from capture2vr.edge.api import edge_pb2_grpc
 from capture2vr.gateway.app import create_app
 from capture2vr.gateway.gateway import gateway_in
 from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.gateway.workers import worker_client
 from capture2vr.process.archives import unpack
 from capture2vr.storage.bundle import sha256_hex
 from capture2vr.storage.memory import MemoryStore
@@ -33,6 +34,7 @@ from capture2vr.storage.store import Head
 from tests.support.in_process_gateway import answering
 from tests.support.patience import HANG_S
 from tests.support.photos import private_pictures
+from tests.support.workers.inspecting_worker import inspecting_worker
 
 BOUNDARY = "boundary"
 CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
@@ -69,9 +71,11 @@ class Gateway:
 
 @asynccontextmanager
 async def started(folder: Path, store: MemoryStore | None = None, **settings: Any) -> AsyncIterator[Gateway]:
-    """A gateway without workers, unless given some."""
+    """A gateway with a worker that inspects, unless given others."""
     data_dir, store = folder / "data", store or MemoryStore()
-    app = create_app(GatewaySettings(data_dir=data_dir, open=True, **{"workers": (), **settings}), store)
+    app = create_app(
+        GatewaySettings(data_dir=data_dir, open=True, **{"workers": (inspecting_worker(),), **settings}), store
+    )
     async with answering(app) as client:
         yield Gateway(data_dir, store, app, client)
 
@@ -104,7 +108,7 @@ async def test_photos_become_one_archive_without_places(gateway: Gateway, tmp_pa
     receipt = answer.json()
     assert answer.status_code == 201, receipt
     assert receipt["capture"].startswith("cap_")
-    assert (receipt["name"], receipt["inspected"]) == ("Dress", False)
+    assert (receipt["name"], receipt["inspected"]) == ("Dress", True)
     assert [file["file"] for file in receipt["files"]] == ["depth/1.png", "poses.csv", "rgb/1.jpg"]
     assert {"GPSInfo", "BodySerialNumber"} <= set(receipt["files"][2]["stripped"])
     assert receipt["files"][1]["stripped"] == []
@@ -445,7 +449,7 @@ class TestOfOnePhoto:
             answer = await attended.client.post("/v1/outlines", params=params, files=files)
             assert answer.status_code == 200, answer.text
             outline = [[[0.25, 0.25], [0.75, 0.25], [0.5, 0.75]]]
-            assert answer.json() == {"inspected": True, "kind": "image", "outline": outline, "warnings": ["a guess"]}
+            assert answer.json() == {"kind": "image", "outline": outline, "warnings": ["a guess"]}
         attended.assert_empty()
         none, some = worker[0].headers
         assert not none.HasField("box")
@@ -473,10 +477,16 @@ async def test_a_rectangle_that_is_none_is_refused(gateway: Gateway, path: str, 
     gateway.assert_empty()
 
 
-async def test_without_a_worker_there_is_no_outline(gateway: Gateway) -> None:
-    answer = await gateway.client.post("/v1/outlines", files=[("files", ("a.jpg", jpeg()))])
-    assert answer.json() == {"inspected": False, "kind": "", "outline": [], "warnings": []}
-    gateway.assert_empty()
+@pytest.mark.parametrize("path", ["/v1/outlines", "/v1/captures"])
+async def test_what_no_worker_can_inspect_is_not_taken(
+    path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_client, "_INSPECTOR_S", 0.0)
+    async with started(tmp_path, workers=("127.0.0.1:9",)) as gateway:
+        answer = await gateway.client.post(path, files=[("files", ("a.jpg", jpeg()))])
+        assert assert_problem(answer, 503, "INSPECTION_UNAVAILABLE")["retryable"]
+        assert answer.headers["Retry-After"]
+        gateway.assert_empty()
 
 
 async def test_a_photo_to_outline_may_be_larger_than_a_job_request(attended: Gateway) -> None:

@@ -129,6 +129,17 @@ async def test_a_fault_of_ours_is_an_internal_error_with_its_traceback(tmp_path:
         await checks.check(order(tmp_path, a__ply=CLOUD))
 
 
+async def test_what_a_check_costs_is_counted_even_if_its_client_leaves(tmp_path: Path) -> None:
+    spent: list[float] = []
+    busy = "until = time.process_time() + 0.3\n    while time.process_time() < until: pass\n    time.sleep(600)"
+    with closing(CheckProcesses(scripted(busy))) as checks:
+        checking = asyncio.create_task(checks.check(order(tmp_path, a__ply=CLOUD), spent.append))
+        await asyncio.sleep(1.5)
+        checking.cancel()
+        await asyncio.gather(checking, return_exceptions=True)
+    assert 0.3 <= sum(spent) < 2.0
+
+
 async def test_a_client_that_leaves_ends_its_check(checks: Below, tmp_path: Path) -> None:
     """A pipe that nobody writes to: whoever opens it waits, in the kernel, where no exception can reach."""
     what = order(tmp_path, a__ply=b"", b__ply=CLOUD)
@@ -179,7 +190,7 @@ def test_work_that_is_called_off_as_it_ends_harms_no_other(tmp_path: Path) -> No
         process.resume()
         (tmp_path / "other").touch()
         with other.channel, other.channel.makefile() as said:
-            assert json.loads(said.readline()) == {"ended": 0}
+            assert json.loads(said.readline())["ended"] == 0
         ending.channel.close()
         os.close(other.leash)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
@@ -16,18 +15,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from capture2vr.cli.up import free_port
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.api import edge_pb2_grpc
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.jobs.job import Job, Lease, Order
 from capture2vr.gateway.jobs.reports import AnchorsFound, Report, RunFinished, RunHeartbeat, VersionPublished
+from capture2vr.gateway.workers import worker_client
 from capture2vr.gateway.workers.worker_client import WorkerPool, _header, _report
 from capture2vr.gateway.workers.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerUnreachable
 from capture2vr.order.edits import Edits
 from capture2vr.order.job_options import JobOptions
 from capture2vr.order.photo_box import PhotoBox
 from tests.support.in_process_gateway import Making, memory, worker
-from tests.support.patience import CANCEL_S
 
 _NOBODY = "127.0.0.1:9"
 
@@ -59,13 +59,13 @@ def written(tmp_path: Path, **script: object) -> Path:
 
 
 async def test_a_verdict_comes_from_a_worker(tmp_path: Path) -> None:
+    spent: list[float] = []
     async with pool(tmp_path, _NOBODY) as (workers, _, _):
-        verdict = await workers.inspect(written(tmp_path, points=123))
-        assert verdict is not None
+        verdict = await workers.inspect(written(tmp_path, points=123), None, spent.append)
         assert (verdict.kind, verdict.format, verdict.points, verdict.warnings) == ("points", "ply", 123, ("sparse",))
         assert verdict.failure is None
-        refused = await workers.inspect(written(tmp_path, fail="CAPTURE_DEGENERATE"))
-    assert refused is not None
+        refused = await workers.inspect(written(tmp_path, fail="CAPTURE_DEGENERATE"), None, spent.append)
+    assert len(spent) == 2
     assert refused.failure is not None
     assert refused.failure.document() == {
         "type": "urn:capture2vr:problem:CAPTURE_DEGENERATE",
@@ -80,11 +80,22 @@ async def test_a_verdict_comes_from_a_worker(tmp_path: Path) -> None:
     }
 
 
-async def test_without_a_worker_there_is_no_verdict_and_no_waiting(tmp_path: Path) -> None:
+async def test_an_inspection_waits_for_a_worker_that_comes(tmp_path: Path) -> None:
+    port = free_port()
+    workers = WorkerPool((f"127.0.0.1:{port}",))
+    inspecting = asyncio.create_task(workers.inspect(written(tmp_path, points=123), None, list[float]().append))
+    await asyncio.sleep(0.2)
+    async with worker(Making(memory()), tmp_path / "scratch", port=port):
+        assert (await inspecting).points == 123
+        await workers.close()
+
+
+async def test_without_a_worker_an_inspection_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_client, "_INSPECTOR_S", 0.0)
     workers = WorkerPool((_NOBODY,))
-    began = time.monotonic()
-    assert await workers.inspect(written(tmp_path)) is None
-    assert time.monotonic() - began < CANCEL_S
+    with pytest.raises(Problem, match="no worker") as caught:
+        await workers.inspect(written(tmp_path), None, list[float]().append)
+    assert (caught.value.status, caught.value.code) == (503, "INSPECTION_UNAVAILABLE")
     await workers.close()
 
 

@@ -114,6 +114,9 @@ class Client:
     async def cancel(self, job: str = "job_1", token: str = "") -> bool:
         return (await self.stub.Cancel(pb.CancelRequest(job=job, token=token))).was_running
 
+    async def make_room(self, job: str = "job_1", token: str = "") -> bool:
+        return (await self.stub.Yield(pb.YieldRequest(job=job, token=token))).yields
+
     async def worker(self) -> pb.Worker:
         return await self.stub.GetWorker(pb.GetWorkerRequest())
 

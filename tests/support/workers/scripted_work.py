@@ -26,7 +26,8 @@ from capture2vr.storage.tenant_store import store_of_tenant
 
 
 class Making:
-    """Work whose capture says how it goes: {"steps": 3, "pause_s": 0.1, "fail": "CODE", "retryable": true, "wait": 1}
+    """Work whose capture says how it goes: {"steps": 3, "pause_s": 0.1, "fail": "CODE", "retryable": true, "wait": 1,
+    "checkpoint": 1}
 
     Publishes a preview and a refined version behind it, really, to `store`; "fail_refining" is a code for in between,
     "grade" the level of both.
@@ -49,6 +50,8 @@ class Making:
         for step in range(steps):
             report(pb.Progress(stage=pb.FITTING, fraction=step / steps, losses={"distance": 1.0 / (step + 1)}))
             threading.Event().wait(script.get("pause_s", 0.0))
+        if script.get("checkpoint"):
+            checkpoint.touch()
         while script.get("wait") and not self.release.wait(0.02):
             report(pb.Progress(stage=pb.FITTING, fraction=0.9))
         if "fail" in script:

@@ -1,0 +1,149 @@
+"""Small files that cost a reader much: pictures that unpack to gigabytes, and texts that repeat what is read anew."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+import zlib
+from functools import cache
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from tests.support.captures import glb_of
+
+_SIDE = 8_000  # pixels: 64 million in a picture
+
+
+def zipped(files: dict[str, bytes]) -> bytes:
+    """A zip of these files; repeated content costs little."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+@cache
+def plain_png(side: int = _SIDE, channels: int = 3) -> bytes:
+    """A PNG of one colour: 64 megapixels in some hundred kilobytes."""
+    head = struct.pack(">IIBBBBB", side, side, 8, {1: 0, 3: 2}[channels], 0, 0, 0)
+    packer = zlib.compressobj(6)
+    row = b"\0" + b"\x80" * side * channels
+    packed = b"".join(packer.compress(row) for _ in range(side)) + packer.flush()
+    chunks = ((b"IHDR", head), (b"IDAT", packed), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
+
+
+def tiff_of_shared_strips(side: int = 10_000, rows: int = 100) -> bytes:
+    """A TIFF of 100 megapixels whose strips are all the same few bytes."""
+    strip = zlib.compress(bytes(side * rows))
+    count = side // rows
+    tags = (
+        (256, 4, 1, side),
+        (257, 4, 1, side),
+        (258, 3, 1, 8),
+        (259, 3, 1, 8),  # deflate
+        (262, 3, 1, 1),
+        (273, 4, count, 8 + len(strip)),
+        (277, 3, 1, 1),
+        (278, 4, 1, rows),
+        (279, 4, count, 8 + len(strip) + 4 * count),
+    )
+    arrays = struct.pack(f"<{count}I", *[8] * count) + struct.pack(f"<{count}I", *[len(strip)] * count)
+    directory = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(4)
+    return struct.pack("<2sHI", b"II", 42, 8 + len(strip) + len(arrays)) + strip + arrays + directory
+
+
+def glb_of_textures(count: int = 200) -> bytes:
+    """A GLB of so many textures, each of 64 megapixels, in some hundred kilobytes."""
+    materials = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": number}}} for number in range(count)]
+    return _glb(
+        plain_png(channels=1),
+        [{**_TRIANGLE, "material": number} for number in range(count)],
+        images=[{"bufferView": 3, "mimeType": "image/png"}] * count,
+        textures=[{"source": number} for number in range(count)],
+        materials=materials,
+    )
+
+
+def glb_of_primitives(count: int = 100_000) -> bytes:
+    """A GLB of so many primitives, which are all the same triangle."""
+    return _glb(b"", [_TRIANGLE] * count)
+
+
+_TRIANGLE = {"attributes": {"POSITION": 0, "TEXCOORD_0": 2}, "indices": 1}
+
+
+def _glb(picture: bytes, primitives: list[dict[str, Any]], **tables: list[dict[str, Any]]) -> bytes:
+    """A GLB of one mesh of these primitives, with further tables; its fourth buffer view is the picture."""
+    corners, faces = np.eye(3, dtype="<f4").tobytes(), np.arange(3, dtype="<u2").tobytes() + bytes(2)
+    parts = (corners, faces, np.eye(3, 2, dtype="<f4").tobytes(), picture)
+    starts = [sum(map(len, parts[:place])) for place in range(len(parts))]
+    views = [{"buffer": 0, "byteOffset": at, "byteLength": len(part)} for at, part in zip(starts, parts, strict=True)]
+    tree = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "buffers": [{"byteLength": sum(map(len, parts))}],
+        "bufferViews": views if picture else views[:3],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 1]},
+            {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
+            {"bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC2"},
+        ],
+        "meshes": [{"primitives": primitives}],
+        **tables,
+    }
+    return glb_of(tree, b"".join(parts))
+
+
+def obj_of_libraries(size: int = 594_000) -> dict[str, bytes]:
+    """An OBJ that names its library again and again, and the library, which has many materials."""
+    line = b"mtllib a.mtl\n"
+    corners, face = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", b"usemtl m7\nf 1 2 3\n"
+    library = b"".join(b"newmtl m%d\nKd 1 0 0\n" % number for number in range(400))
+    return {"a.obj": corners + line * (size // len(line)) + face, "a.mtl": library}
+
+
+def obj_of_materials(count: int) -> dict[str, bytes]:
+    """An OBJ with a triangle of each of so many materials."""
+    corners = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    return {"a.obj": corners + b"".join(b"usemtl m%d\nf 1 2 3\n" % number for number in range(count))}
+
+
+def jpeg_of_scans(side: int, scans: int) -> bytes:
+    """A progressive JPEG whose last scan comes again and again."""
+    buffer = io.BytesIO()
+    Image.new("RGB", (side, side), (9, 99, 199)).save(buffer, "JPEG", progressive=True)
+    whole = buffer.getvalue()
+    last = whole.rindex(b"\xff\xda")
+    return whole[:last] + whole[last:-2] * scans + whole[-2:]
+
+
+def deep_png() -> bytes:
+    """A PNG that says that it has 100 megapixels of 16 bits and four channels, and has none."""
+    whole = bytearray(plain_png(8))
+    whole[16:26] = struct.pack(">IIBB", 10_000, 9_990, 16, 6)
+    whole[29:33] = struct.pack(">I", zlib.crc32(whole[12:29]))
+    return bytes(whole)
+
+
+def cloud(count: int = 600) -> bytes:
+    """An honest PLY of a sphere of so many points, 9 KB."""
+    directions = np.random.default_rng(0).normal(size=(count, 3))
+    xyz = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype("<f4")
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    return f"{head}{axes}end_header\n".encode() + xyz.tobytes()
+
+
+def obj_of_a_large_library(materials: int = 300_000) -> dict[str, bytes]:
+    """An OBJ whose library has so many materials."""
+    triangle = b"mtllib a.mtl\nusemtl m0\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    return {"a.obj": triangle, "a.mtl": b"".join(b"newmtl m%d\n" % number for number in range(materials))}
