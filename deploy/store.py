@@ -32,7 +32,7 @@ CLEANING = {"WEED_MASTER_MAINTENANCE_SCRIPTS": "s3.clean.uploads -timeAgo=24h"}
 
 def secret() -> str:
     """Return STORAGE_SECRET_KEY, or where that is empty what the file STORAGE_SECRET_KEY_FILE holds."""
-    return os.environ.get("STORAGE_SECRET_KEY") or Path(os.environ["STORAGE_SECRET_KEY_FILE"]).read_text()
+    return os.environ.get("STORAGE_SECRET_KEY") or Path(os.environ["STORAGE_SECRET_KEY_FILE"]).read_text().strip()
 
 
 def write_users() -> None:
