@@ -19,6 +19,8 @@ rm -rf torch/_inductor sympy sympy-*.dist-info mpmath mpmath-*.dist-info ../../.
 [ ! -d pygments/lexers ] ||
   find pygments/lexers -type f -name '*.py' ! -name __init__.py ! -name _mapping.py ! -name python.py ! -name special.py -delete
 rm -rf sqlalchemy/testing
+# Numbers are written as in the languages of the pages.
+[ ! -d babel/locale-data ] || find babel/locale-data -type f ! -name root.dat ! -name en.dat ! -name de.dat -delete
 # Sample pictures, and libraries of PyTorch's own tests.
 [ ! -d skimage/data ] || find skimage/data -type f ! -name '*.py' ! -name '*.pyi' -delete
 rm -f torch/lib/libtorchbind_test.so torch/lib/libjitbackend_test.so torch/lib/libbackend_with_compiler.so

@@ -32,7 +32,10 @@ def sbom() -> None:
 
 @app.command()
 def audit() -> None:
-    """Ask OSV and npm about all pinned versions. Exit code 1: they know of a vulnerability that is not accepted."""
+    """Ask OSV and npm about all pinned versions. Exit code 1: they know of a vulnerability that is not accepted.
+
+    A service that cannot be asked fails nothing here; a release waits until it can.
+    """
     _audited()
 
 
@@ -50,10 +53,14 @@ def publish(
 ) -> None:
     """Check, build, audit, describe and sign a release in dist/: what is to be uploaded."""
     check_agreement(ROOT)
+    audits = _audited()
+    if unanswered := [str(each) for each in audits if each.not_audited]:
+        hint = "a release needs both answers: try again where both services can be reached"
+        raise ReleaseError("\n".join([*unanswered, hint]))
     files = build_artefacts(ROOT)
     (sbom,) = (file for file in files if file.name.endswith(".cdx.json"))
     check_environment(ROOT, sbom.read_text())
-    notes = write_notes(ROOT, files, _audited())
+    notes = write_notes(ROOT, files, audits)
     sums = ROOT / "dist" / SUMS
     write_sums([*files, notes], sums)
     sign(ROOT, sums, key.absolute())

@@ -2,7 +2,8 @@
 
 pip-audit asks OSV about every line of constraints.txt. npm asks its registry about the tools of package-lock.json, and
 about the npm packages inside the pages. A service that cannot be asked is no fault of the project: the audit then says
-"not audited", and why. Other addresses are the tools' own settings: PIP_AUDIT_OSV_URL and npm_config_registry.
+"not audited", and why, and no release is made. Other addresses are the tools' own settings: PIP_AUDIT_OSV_URL and
+npm_config_registry.
 """
 
 from __future__ import annotations

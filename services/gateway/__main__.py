@@ -8,7 +8,7 @@ from capture2vr.gateway.server import serve
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.process.private_files import write_for_own_user
 from capture2vr.process.strict_settings import SettingsError
-from capture2vr.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys, open_store
+from capture2vr.storage.settings import StorageSettings, open_keys, open_store
 
 
 def start(*, everybody: bool = False) -> int:
@@ -20,20 +20,10 @@ def start(*, everybody: bool = False) -> int:
     try:
         settings = GatewaySettings(open=True) if everybody else GatewaySettings()
         storage = StorageSettings()
-        _refuse_placeholder(settings, storage)
         store, keys = open_store(storage), open_keys(storage)
     except ValueError as error:
         raise SettingsError(str(error)) from error
     return serve(settings, store, keys)
-
-
-def _refuse_placeholder(settings: GatewaySettings, storage: StorageSettings) -> None:
-    """Raise SettingsError for a gateway that others can reach, whose store has the secret that everybody knows."""
-    if settings.is_public and storage.secret_key.get_secret_value() == PLACEHOLDER_SECRET:
-        raise SettingsError(
-            f"other machines can reach {settings.reached_host}, and STORAGE_SECRET_KEY is the placeholder that "
-            "everybody knows: `capture2vr deploy init` writes random secrets to .env"
-        )
 
 
 def main() -> int:

@@ -19,13 +19,10 @@ from capture2vr.storage.store import Store
 _ENDPOINT = re.compile(r"https?://[^\s/?#]+(/[^\s?#]*)?")
 _BUCKET = re.compile(r"[A-Za-z0-9._-]{1,255}|arn:[^\s]+", re.ASCII)
 
-PLACEHOLDER_SECRET = "change-me-please"  # noqa: S105 - it is refused wherever it would protect anything
-"""STORAGE_SECRET_KEY of docker-compose.yml where nobody has set one. Everybody knows it."""
-
 
 def _check_endpoint(url: str) -> str:
     if url and not _ENDPOINT.fullmatch(url):
-        raise ValueError("give a URL, such as http://minio:9000 or https://s3.example")
+        raise ValueError("give a URL, such as http://store:9000 or https://s3.example")
     return url
 
 
@@ -48,6 +45,7 @@ class StorageSettings(StrictSettings):
     base_url         prefix of the objects' URLs that clients get: a CDN, or the gateway's /v1/files
     presign_s        with S3: seconds for which the gateway lets clients read an object of a private bucket, by a signed
                      URL; 0: clients read at base_url, and what stands there guards what is private
+    secret_key_file  file that holds the secret key, read where secret_key is empty
     collection       collection of assets for which nobody named one
     signing_key      files of private keys (PEM) that sign collections: one, two during a key rotation; none: unsigned
     trusted_keys     files of public keys (PEM) whose signatures are accepted, besides those of signing_key; with
@@ -66,6 +64,7 @@ class StorageSettings(StrictSettings):
     presign_s: Annotated[int, Field(ge=0, le=7 * 86_400)] = 0  # S3 signs for a week at most
     access_key: SecretStr = SecretStr("")
     secret_key: SecretStr = SecretStr("")
+    secret_key_file: Path | None = None
     collection: Annotated[str, AfterValidator(_check_collection_name)] = DEFAULT_COLLECTION
     signing_key: CommaList = ()
     trusted_keys: CommaList = ()
@@ -74,14 +73,23 @@ class StorageSettings(StrictSettings):
 def open_store(settings: StorageSettings) -> Store:
     """Create the store that the settings name; it connects at first use.
 
-    Raises SettingsError where only one of access key and secret key is set.
+    Raises SettingsError where only one of access key and secret key is set, or the secret key's file cannot be read.
     """
     if settings.kind == "local":
         return LocalStore(settings.root, settings.base_url or "/v1/files")
-    access, secret = settings.access_key.get_secret_value(), settings.secret_key.get_secret_value()
+    access, secret = settings.access_key.get_secret_value(), _secret_key(settings)
     if bool(access) != bool(secret):
         raise SettingsError("only one of STORAGE_ACCESS_KEY and STORAGE_SECRET_KEY is set: set both or neither")
     return _open_s3(settings, access, secret)
+
+
+def _secret_key(settings: StorageSettings) -> str:
+    if (secret := settings.secret_key.get_secret_value()) or settings.secret_key_file is None:
+        return secret
+    try:
+        return settings.secret_key_file.read_text().strip()
+    except OSError as error:
+        raise SettingsError(f"STORAGE_SECRET_KEY_FILE: {error}") from None
 
 
 def open_keys(settings: StorageSettings) -> Keys:

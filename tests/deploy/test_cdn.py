@@ -108,9 +108,9 @@ def _configuration(s3_server: S3Server, gateway: str, folder: Path, port: int) -
         ("/var/cache/nginx", str(folder)),
         ("/dev/stdout", f"{folder}/access.log"),
         ("/dev/stderr", f"{folder}/error.log"),
-        ("http://minio:9000", s3_server.endpoint),
+        ("http://store:9000", s3_server.endpoint),
         ("http://gateway:8080", gateway),
-        ("Host minio:9000", f"Host {s3_server.endpoint.removeprefix('http://')}"),
+        ("Host store:9000", f"Host {s3_server.endpoint.removeprefix('http://')}"),
         ("listen 8080", f"listen 127.0.0.1:{port}"),
     ]:
         assert deployed in conf

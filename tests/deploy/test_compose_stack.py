@@ -78,7 +78,7 @@ def stack(engine: Engine, figures: Figures) -> Iterator[Stack]:
         seconds = made.up()
         figures.note("`docker compose up --wait`, empty volumes", f"{seconds:.1f} s (load average {load:.1f})")
         bucket = made.bucket_after()
-        figures.note("… until the store's stand-in answered and the bucket was made", f"{bucket:.1f} s")
+        figures.note("… until the store answered and the bucket was made", f"{bucket:.1f} s")
         figures.note("… from then on until all were healthy", f"{seconds - bucket:.1f} s")
         for service in ("edge", "gateway", "cdn"):
             figures.note(f"… container of `{service}` to its first good check", f"{made.healthy_after(service):.1f} s")
@@ -219,7 +219,7 @@ def undisturbed(stack: Stack, dome: Path, figures: Figures) -> float:
     return seconds
 
 
-@pytest.mark.parametrize("service", ["edge", "gateway", "minio"])
+@pytest.mark.parametrize("service", ["edge", "gateway", "store"])
 def test_a_job_outlives_a_kill(
     stack: Stack, client: Client, dome: Path, figures: Figures, undisturbed: float, service: str
 ) -> None:

@@ -17,10 +17,11 @@ import yaml
 
 from capture2vr.cli.deployment.deploy_work import Address, initialise
 from capture2vr.edge.worker.settings import EdgeSettings, central_credentials, server_security
+from capture2vr.gateway.languages import LANGUAGES
 from capture2vr.gateway.settings import GatewaySettings, worker_credentials
 from capture2vr.process.grpc_security import NO_CREDENTIALS
 from capture2vr.process.strict_settings import StrictSettings
-from capture2vr.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys
+from capture2vr.storage.settings import StorageSettings, open_keys
 from tests.conftest import missing
 from tests.support.repository import ROOT
 
@@ -74,7 +75,7 @@ def test_only_the_cache_is_published_and_only_on_loopback(compose: list[str]) ->
 @pytest.mark.docker
 def test_containers_are_read_only_without_capabilities(compose: list[str]) -> None:
     services = _config(compose, "gpu", "postgres")["services"]
-    assert services.keys() >= {"gateway", "edge", "edge-gpu", "minio", "bucket", "cdn"}
+    assert services.keys() >= {"gateway", "edge", "edge-gpu", "store", "secret", "bucket", "cdn"}
     for name, service in services.items():
         assert service["read_only"] is True, name
         assert service["cap_drop"] == ["ALL"], name
@@ -109,20 +110,20 @@ def test_postgres_exists_only_in_its_profile_and_is_reached_by_gateways_alone(co
     plain = _config(compose)["services"]
     assert "postgres" not in plain
     assert plain["gateway"]["environment"]["GATEWAY_DATABASE_URL"] == ""
-    url = "postgresql://capture2vr:secret@postgres/capture2vr"
-    named = {"POSTGRES_PASSWORD": "secret", "GATEWAY_DATABASE_URL": url}
+    url = "postgresql://capture2vr:hush@postgres/capture2vr"
+    named = {"POSTGRES_PASSWORD": "hush", "GATEWAY_DATABASE_URL": url}
     services = _config(compose, "postgres", **named)["services"]
     assert services["gateway"]["environment"]["GATEWAY_DATABASE_URL"] == url
     database = services["postgres"]
     assert (database["read_only"], database["cap_drop"], list(database["networks"])) == (True, ["ALL"], ["inside"])
     assert "ports" not in database
-    assert [name for name, service in services.items() if "secret" in json.dumps(service)] == ["gateway", "postgres"]
+    assert [name for name, service in services.items() if "hush" in json.dumps(service)] == ["gateway", "postgres"]
 
 
 @pytest.mark.docker
 def test_each_worker_has_the_torch_of_its_device(compose: list[str]) -> None:
     services = _config(compose, "gpu")["services"]
-    (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", _edge_stages()[0], re.MULTILINE)
+    (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", _edge_stages()[1], re.MULTILINE)
     assert services["edge"]["build"]["args"]["TORCH_INDEX"] == default, "the CPU build"
     assert services["edge-gpu"]["build"]["args"]["TORCH_INDEX"] == "", "empty, not absent: it replaces that default"
     assert services["edge-gpu"]["image"] != services["edge"]["image"]
@@ -156,36 +157,44 @@ def test_a_worker_has_the_cores_that_are_named(compose: list[str], monkeypatch: 
 @pytest.mark.parametrize("index", [None, "", "https://example.org/cuda"])
 def test_the_worker_image_takes_torch_from_the_index_that_is_named(index: str | None) -> None:
     """None: nobody names one. pip's place is taken by a program that prints what it is asked for."""
-    (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", _edge_stages()[0], re.MULTILINE)
+    (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", _edge_stages()[1], re.MULTILINE)
     named = default if index is None else index
     ended = _install_in_edge_image("printf '%s ' \"$@\"; echo", named)
-    asked = [line.split() for line in ended.stdout.splitlines()]
-    if named:
-        first = asked.pop(0)
-        assert first[first.index("--index-url") + 1 :] == [named, "torch"]
-        assert "--no-deps" in first
-    flags = ["--extra-index-url", named] if named else []
-    assert asked == [["install", "--no-cache-dir", "-c", "constraints.txt", *flags, ".[edge,storage,fast,traces]"]]
+    tools, torch, others, own, installed, checked = (line.split() for line in ended.stdout.splitlines())
+    assert torch[-2:] == ([named, "torch"] if named else ["-r", "cuda.txt"])
+    assert ("--require-hashes" in torch) == (not named)
+    assert (tools[-2:], others[-2:]) == (["-r", "build.txt"], ["-r", "edge.txt"])
+    assert all("--require-hashes" in line for line in (tools, others))
+    assert all("--no-deps" in line for line in (tools, torch, others, own, installed))
+    assert all("--no-build-isolation" in line for line in (others, own)), "else pip fetches build tools by itself"
+    assert checked == ["check"]
+
+
+def test_further_extras_come_by_the_versions_of_the_constraints() -> None:
+    *_, last = _install_in_edge_image("printf '%s ' \"$@\"; echo", "", EXTRAS="ray").stdout.splitlines()
+    assert last.split() == ["install", "--no-cache-dir", "-c", "constraints.txt", "/wheels/capture2vr-*.whl[ray]"]
 
 
 def test_an_index_without_torch_ends_the_build_at_once_with_a_sentence() -> None:
-    ended = _install_in_edge_image("false", "https://example.org/none")
+    ended = _install_in_edge_image('case "$*" in *--index-url*) false ;; esac', "https://example.org/none")
     assert ended.returncode == 1
     assert "PyTorch cannot be had from TORCH_INDEX=https://example.org/none" in ended.stderr
     assert "TORCH_CPU_INDEX" in ended.stderr
 
 
-def _install_in_edge_image(pip: str, index: str) -> subprocess.CompletedProcess[str]:
+def _install_in_edge_image(pip: str, index: str, **variables: str) -> subprocess.CompletedProcess[str]:
     """Run the build's pip instructions one after the other, with a shell function in the place of pip."""
-    steps = [step for step in re.findall(r"^RUN (.*)$", _edge_stages()[0], re.MULTILINE) if "pip install" in step]
-    script = "\n".join([f"pip() {{ {pip}; }}", *(step.replace("/venv/bin/pip", "pip") for step in steps)])
-    environment = {"PATH": os.environ["PATH"], "TORCH_INDEX": index}
+    steps = [step for step in re.findall(r"^RUN (.*)$", _edge_stages()[1], re.MULTILINE) if "/bin/pip" in step]
+    named = (re.sub(r"/(build|venv)/bin/pip", "pip", step).replace("python -m venv", ":") for step in steps)
+    script = "\n".join([f"pip() {{ {pip}; }}", *named])
+    environment = {"PATH": os.environ["PATH"], "TORCH_INDEX": index, "EXTRAS": ""} | variables
     return subprocess.run(["sh", "-euc", script], capture_output=True, text=True, env=environment)
 
 
 def test_the_images_share_their_base() -> None:
     texts = [path.read_text() for path in (ROOT / "deploy").glob("*.Dockerfile")]
-    assert {base for text in texts for base in re.findall(r"^FROM (\S+)", text, re.MULTILINE)} == {"python:3.11-slim"}
+    assert {base for text in texts for base in re.findall(r"^FROM (\S+)", text, re.MULTILINE)} == {"${PYTHON_IMAGE}"}
+    assert {base for text in texts for base in re.findall(r"^ARG PYTHON_IMAGE=(.+)", text)} == {"python:3.11-slim"}
 
 
 def test_what_the_images_leave_out_is_no_part_of_the_product(tmp_path: Path) -> None:
@@ -205,6 +214,7 @@ def test_what_the_images_leave_out_is_no_part_of_the_product(tmp_path: Path) -> 
         "sympy-1.14.0.dist-info/METADATA",
         "pygments/lexers/ruby.py",
         "skimage/data/coins.png",
+        "babel/locale-data/uk.dat",
     ]
     kept = [
         "numpy/testing/a.py",
@@ -214,6 +224,7 @@ def test_what_the_images_leave_out_is_no_part_of_the_product(tmp_path: Path) -> 
         "torch/lib/a.py",
         "botocore/data/s3/1/service.json",
         "botocore/data/endpoints.json",
+        *(f"babel/locale-data/{language}.dat" for language in ("root", *LANGUAGES)),
     ]
     for name in (*gone, *kept):
         (site / name).parent.mkdir(parents=True, exist_ok=True)
@@ -245,16 +256,16 @@ def test_an_encoder_that_the_images_leave_out_does_nothing(tmp_path: Path) -> No
 
 
 def test_the_worker_image_has_a_compiler_only_while_it_is_built() -> None:
-    build, shipped = _edge_stages()
+    _, build, shipped = _edge_stages()
     assert "g++" in build
     assert "apt-get" not in shipped
     assert "COPY --from=build /venv /venv" in shipped
 
 
 def _edge_stages() -> list[str]:
-    """The instructions of the worker's Dockerfile by stage, each on one line."""
+    """The instructions of the worker's Dockerfile by stage, each on one line; first those before all stages."""
     text = (ROOT / "deploy" / "edge.Dockerfile").read_text().replace("\\\n", "")
-    return re.split(r"^FROM .*$", text, flags=re.MULTILINE)[1:]
+    return re.split(r"^FROM .*$", text, flags=re.MULTILINE)
 
 
 @pytest.mark.docker
@@ -353,7 +364,9 @@ def test_no_private_key_is_in_the_repository_or_can_get_into_an_image() -> None:
         "!README.md",
         "!LICENSE",
         "!services",
+        "!deploy/locks",
         "!deploy/slim.sh",
+        "!deploy/store.py",
         "!deploy/check_image.py",
     }
 
@@ -365,9 +378,9 @@ def test_compose_reads_the_env_of_deploy_init(compose: list[str], tmp_path: Path
     there = [word.replace(str(ROOT), str(tmp_path)) for word in compose]
     services = _config(there, "gpu")["services"]
     assert services["cdn"]["ports"][0]["host_ip"] == "0.0.0.0"
-    gateway, store = services["gateway"]["environment"], services["minio"]["environment"]
+    gateway, store = services["gateway"]["environment"], services["store"]["environment"]
     assert gateway["STORAGE_BASE_URL"] == gateway["GATEWAY_PUBLIC_URL"] == "https://capture.example"
-    assert gateway["STORAGE_SECRET_KEY"] == store["MINIO_ROOT_PASSWORD"] != PLACEHOLDER_SECRET
+    assert gateway["STORAGE_SECRET_KEY"] == store["STORAGE_SECRET_KEY"] != ""
     for name in ("edge", "edge-gpu"):
         worker = services[name]["environment"]
         assert worker["EDGE_TOKEN"] == gateway["GATEWAY_EDGE_TOKEN"] != ""
@@ -382,11 +395,6 @@ def test_compose_reads_the_env_of_deploy_init(compose: list[str], tmp_path: Path
 
 def test_secrets_are_ignored_by_git() -> None:
     assert {".env", ".env.*", "/keys/"} <= set((ROOT / ".gitignore").read_text().splitlines())
-
-
-@pytest.mark.docker
-def test_the_placeholder_is_the_one_that_public_gateways_refuse(compose: list[str]) -> None:
-    assert _config(compose)["services"]["gateway"]["environment"]["STORAGE_SECRET_KEY"] == PLACEHOLDER_SECRET
 
 
 @pytest.mark.docker
@@ -407,14 +415,13 @@ def test_the_workers_are_all_that_have_the_name_of_the_service(compose: list[str
 def test_the_store_can_be_another_service(compose: list[str]) -> None:
     endpoint = "https://s3.example"
     named = {
-        "MINIO_REPLICAS": "0",
+        "STORE_REPLICAS": "0",
         "STORAGE_ENDPOINT": endpoint,
         "STORAGE_PRESIGN_S": "300",
         "STORAGE_BUCKET": "things",
     }
-    config = _config(compose, "gpu", NETWORK_INTERNAL="false", MINIO_PULL="never", **named)
-    assert config["services"]["minio"]["deploy"]["replicas"] == 0
-    assert config["services"]["minio"]["pull_policy"] == "never", "compose pulls images of no containers too"
+    config = _config(compose, "gpu", NETWORK_INTERNAL="false", **named)
+    assert config["services"]["store"]["deploy"]["replicas"] == 0
     assert not config["networks"]["inside"].get("internal", False)
     for name in ("gateway", "edge", "edge-gpu", "bucket"):
         given = config["services"][name]["environment"]
@@ -429,9 +436,8 @@ def test_the_store_can_be_another_service(compose: list[str]) -> None:
 @pytest.mark.docker
 def test_nothing_waits_for_the_stores_own_health_check(compose: list[str]) -> None:
     services = _config(compose)["services"]
-    assert services["bucket"]["depends_on"]["minio"]["condition"] == "service_started"
+    assert services["bucket"]["depends_on"]["store"]["condition"] == "service_started"
     assert services["cdn"]["depends_on"]["bucket"]["condition"] == "service_completed_successfully"
-    assert "healthcheck" not in services["minio"]
 
 
 @pytest.mark.docker
@@ -439,16 +445,37 @@ def test_workers_and_gateways_start_at_once(compose: list[str]) -> None:
     """What they need they look for when they are asked: a chain of healthy services would start in twice the time."""
     services = _config(compose, "gpu", "postgres")["services"]
     waiting = {name: set(service["depends_on"]) for name, service in services.items() if service.get("depends_on")}
-    assert waiting == {"gateway": {"postgres"}, "cdn": {"bucket"}, "bucket": {"minio"}}
+    made = {name for name, others in waiting.items() if "secret" in others}
+    assert made == {"gateway", "edge", "edge-gpu", "store", "bucket"}, "within a second, by a shell"
+    others = {name: names - {"secret"} for name, names in waiting.items() if names - {"secret"}}
+    assert others == {"gateway": {"postgres"}, "cdn": {"bucket"}, "bucket": {"store"}}
 
 
 @pytest.mark.docker
-def test_the_store_can_be_another_image(compose: list[str]) -> None:
-    assert _config(compose, MINIO_IMAGE="example/store:1")["services"]["minio"]["image"] == "example/store:1"
-    assert "@sha256:" in _config(compose)["services"]["minio"]["image"]
+def test_minio_can_stay_in_its_own_volume_and_with_a_secret_of_ones_own(compose: list[str]) -> None:
+    there = [*compose, "-f", str(ROOT / "deploy" / "compose.minio.yml")]
+    plain, named = _config(compose)["services"]["store"], {"STORAGE_SECRET_KEY": "secret"}
+    store = _config(there, **named)["services"]["store"]
+    assert "@sha256:" in store["image"]
+    assert _config(there, MINIO_IMAGE="example/store:1", **named)["services"]["store"]["image"] == "example/store:1"
+    assert store["environment"]["MINIO_ROOT_PASSWORD"] == "secret"
+    assert "build" not in store
+    (old,), (new,) = (
+        [each["source"] for each in service["volumes"] if each["target"] == "/data"] for service in (store, plain)
+    )
+    assert (old, new) == ("objects", "store"), "neither writes into what the other has filled"
+    assert "STORAGE_SECRET_KEY" in _refusal(there)
 
 
-@pytest.mark.parametrize("dockerfile", ["edge.Dockerfile", "gateway.Dockerfile"])
+def _refusal(compose: list[str]) -> str:
+    ended = subprocess.run(
+        [*compose, "--env-file", os.devnull, "config", "-q"], capture_output=True, text=True, env={**os.environ}
+    )
+    assert ended.returncode != 0
+    return ended.stderr
+
+
+@pytest.mark.parametrize("dockerfile", ["edge.Dockerfile", "gateway.Dockerfile", "store.Dockerfile"])
 def test_dockerfiles_pass_hadolint(dockerfile: str) -> None:
     hadolint = Path(sys.executable).with_name("hadolint")
     result = subprocess.run([hadolint, ROOT / "deploy" / dockerfile], capture_output=True, text=True)

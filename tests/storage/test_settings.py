@@ -25,7 +25,7 @@ def test_a_folder_is_the_default(tmp_path: Path) -> None:
 def test_s3_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     variables = {
         "KIND": "s3",
-        "ENDPOINT": "http://minio:9000",
+        "ENDPOINT": "http://store:9000",
         "PUBLIC_ENDPOINT": "https://s3.example",
         "BUCKET": "things",
     }
@@ -38,13 +38,23 @@ def test_s3_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "very secret" not in str(settings.describe())
 
 
+def test_a_secret_key_is_read_from_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "secret"
+    for variable, given in {"KIND": "s3", "ACCESS_KEY": "me", "SECRET_KEY": "", "SECRET_KEY_FILE": str(file)}.items():
+        monkeypatch.setenv(f"STORAGE_{variable}", given)
+    with pytest.raises(SettingsError, match=f"^STORAGE_SECRET_KEY_FILE: .*No such file.*{file}"):
+        open_store(StorageSettings())
+    file.write_text("hush\n")
+    assert isinstance(open_store(StorageSettings()), S3Store)
+
+
 @pytest.mark.parametrize(
-    ("name", "value"), [("ENDPOINT", "minio:9000"), ("PUBLIC_ENDPOINT", "s3.example"), ("BUCKET", "my things")]
+    ("name", "value"), [("ENDPOINT", "store:9000"), ("PUBLIC_ENDPOINT", "s3.example"), ("BUCKET", "my things")]
 )
 def test_what_s3_cannot_be_asked_at_is_an_error_that_names_the_variable(
     name: str, value: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for variable, given in {"KIND": "s3", "ENDPOINT": "http://minio:9000", name: value}.items():
+    for variable, given in {"KIND": "s3", "ENDPOINT": "http://store:9000", name: value}.items():
         monkeypatch.setenv(f"STORAGE_{variable}", given)
     with pytest.raises(SettingsError, match=f"STORAGE_{name}"):
         StorageSettings()

@@ -24,7 +24,7 @@ WORKER_NAMES = ("edge", "edge-gpu", "localhost")
 
 _SECRETS = {
     "STORAGE_ACCESS_KEY": "the store, gateway and workers must start again together: docker compose up --wait",
-    "STORAGE_SECRET_KEY": "the same; a store other than MinIO keeps its old secret until you change it there",
+    "STORAGE_SECRET_KEY": "the same; a store elsewhere keeps its old secret until you change it there",
     "EDGE_TOKEN": "gateway and workers must start again together",
     "POSTGRES_PASSWORD": "a Postgres that has data keeps its old password until you change it there: ALTER USER",
 }

