@@ -41,10 +41,11 @@ _SETTLE_S = 1.0  # behind an attack, for processes that are killed to be gone
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of an attack. fault: what is not as it should be, or ""; seconds: of processors"""
+    """What became of an attack. fault: what should not be, or "", and over: which limits it broke; seconds: of CPUs"""
 
     answers: str
     fault: str
+    over: str
     seconds: float
     mb: float
     worker_mb: float
@@ -127,6 +128,7 @@ class Product:
                 if httpx.get(f"{self.url}/{until}").is_success:
                     return
             time.sleep(0.2)
+        self.close()
         raise RuntimeError(f"the product was not ready within {_READY_S:.0f} s")
 
 
@@ -195,15 +197,14 @@ def measure(product: Product, attack: Attack) -> Outcome:
         answers, fault = attack.run(product)
     time.sleep(_SETTLE_S)
     seconds = processor_seconds(product.services) - before
-    faults = (
-        fault,
-        "" if worker.is_running() and worker.pid == product.worker.pid else "the worker died",
-        f"ada: {neighbour.refused}" if neighbour.refused else "",
-        f"costs more than {attack.most_s:.0f} CPU s" if seconds > attack.most_s else "",
-        f"ada waits for more than {attack.most_waited_s:.0f} s" if neighbour.waited_s > attack.most_waited_s else "",
+    alive = worker.is_running() and worker.pid == product.worker.pid
+    faults = (fault, not alive and "the worker died", neighbour.refused and f"ada: {neighbour.refused}")
+    over = (
+        seconds > attack.most_s and f"more than {attack.most_s:.0f} CPU s",
+        neighbour.waited_s > attack.most_waited_s and f"ada waits for more than {attack.most_waited_s:.0f} s",
     )
-    found = "; ".join(filter(None, faults))
-    return Outcome(answers, found, seconds, peak.mb, peak_mb(product.worker.pid), neighbour.waited_s)
+    told = ["; ".join(filter(None, each)) for each in (faults, over)]
+    return Outcome(answers, *told, seconds, peak.mb, peak_mb(product.worker.pid), neighbour.waited_s)
 
 
 def main(arguments: list[str]) -> None:
@@ -222,7 +223,7 @@ def main(arguments: list[str]) -> None:
         with started(options.product.resolve(), **attack.variables) as product:
             found = measure(product, attack)
         told = (f"{found.seconds:.1f}", f"{found.mb:.0f}", f"{found.worker_mb:.0f}", f"{found.waited_s:.1f}")
-        cells = (attack.name, found.answers, found.fault or "yes", *told)
+        cells = (attack.name, found.answers, "; ".join(filter(None, (found.fault, found.over))) or "yes", *told)
         print(f"| {' | '.join(cells)} |", flush=True)
 
 

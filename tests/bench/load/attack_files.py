@@ -111,10 +111,20 @@ def obj_of_libraries(size: int = 594_000) -> dict[str, bytes]:
     return {"a.obj": corners + line * (size // len(line)) + face, "a.mtl": library}
 
 
-def obj_of_materials(count: int) -> dict[str, bytes]:
+def obj_of_materials(count: int) -> bytes:
     """An OBJ with a triangle of each of so many materials."""
-    corners = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
-    return {"a.obj": corners + b"".join(b"usemtl m%d\nf 1 2 3\n" % number for number in range(count))}
+    return b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"".join(b"usemtl m%d\nf 1 2 3\n" % number for number in range(count))
+
+
+def ply_of_one_face(corners: int) -> bytes:
+    """A square of vertices, and one polygon of so many corners on it."""
+    xyz = np.random.default_rng(0).random((4000, 3), np.float32)
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(xyz)}\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 1\nproperty list uint int vertex_indices\nend_header\n"
+    )
+    indices = (np.arange(corners, dtype="<u4") % len(xyz)).astype("<i4")
+    return head.encode() + xyz.tobytes() + np.uint32(corners).tobytes() + indices.tobytes()
 
 
 def jpeg_of_scans(side: int, scans: int) -> bytes:
@@ -147,3 +157,8 @@ def obj_of_a_large_library(materials: int = 300_000) -> dict[str, bytes]:
     """An OBJ whose library has so many materials."""
     triangle = b"mtllib a.mtl\nusemtl m0\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
     return {"a.obj": triangle, "a.mtl": b"".join(b"newmtl m%d\n" % number for number in range(materials))}
+
+
+def long_line() -> bytes:
+    """A list of points whose second one has four million coordinates."""
+    return b"1 2 3\n" + b"0.1 " * 4_000_000

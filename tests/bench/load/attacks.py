@@ -76,8 +76,14 @@ def _job_of(product: Product, capture: str) -> str:
     return "does not end"
 
 
-def _of(name: str, content: Callable[[], bytes], times: int = 1) -> Callable[[Product], Verdict]:
-    return lambda product: _many(product, [(name, content())] * times)
+def _of(name: str, content: Callable[[], bytes], times: int = 1, refused: str = "") -> Callable[[Product], Verdict]:
+    """Send a file so many times at once. refused: the code with which each of them should be"""
+
+    def run(product: Product) -> Verdict:
+        told, fault = _many(product, [(name, content())] * times)
+        return told, fault or ("" if not refused or told == f"{times} × {refused}" else f"not {refused}")
+
+    return run
 
 
 def _of_zip(content: Callable[[], Mapping[str, bytes]], times: int = 1) -> Callable[[Product], Verdict]:
@@ -178,7 +184,7 @@ def _guesses(product: Product) -> Verdict:
     for number in range(60):
         transport = httpx.HTTPTransport(local_address=f"127.0.1.{number + 1}")
         with httpx.Client(base_url=product.url, transport=transport, timeout=HANG_S) as client:
-            answers[said(client.post("/v1/pairings/claim", json={"code": f"{number:08}"}))] += 1
+            answers[said(client.post("/v1/pairings/claim", json={"code": f"{number:0{len(code)}}"}))] += 1
     right = httpx.post(f"{product.url}/v1/pairings/claim", json={"code": code})
     told = ", ".join(f"{count} × {what}" for what, count in answers.items())
     return f"{told}; then the right one: {said(right)}", "" if right.is_success else "nobody can pair"
@@ -204,7 +210,9 @@ def _open_worker(product: Product) -> Verdict:
     scratch = product.data.parent / "open"
     variables = {"EDGE_HOST": "127.0.0.2", "EDGE_PORT": "0", "EDGE_SCRATCH": str(scratch)}
     environment = {**product.environment, **variables, "STORAGE_ROOT": str(scratch / "objects")}
-    worker = subprocess.Popen(product.command("edge"), env=environment, cwd=product.data.parent, stderr=-1)
+    worker = subprocess.Popen(
+        product.command("edge"), env=environment, cwd=product.data.parent, stderr=subprocess.DEVNULL
+    )
     try:
         status = worker.wait(20)
     except subprocess.TimeoutExpired:
@@ -258,7 +266,11 @@ def _full(product: Product) -> Verdict:
             capture = send(first.ada, "a.ply", files.cloud()).json()["capture"]
             secrets = first.secrets
         _fill(disk)
-        with closing(Product(product.checkout, disk / "data", environment, secrets)) as again:
+        try:
+            again = Product(product.checkout, disk / "data", environment, secrets)
+        except RuntimeError:
+            return "it does not start", "nothing can be read or deleted"
+        with closing(again):
             listed = again.ada.get("/v1/captures")
             refused = send(again.ada, "a.ply", files.cloud())
             deleted = again.ada.delete(f"/v1/captures/{capture}")
@@ -359,18 +371,30 @@ def _pull_of_nothing(product: Product) -> str:
     return "a traceback" if "Traceback" in done.stderr + done.stdout else f"exit {done.returncode}"
 
 
+_LARGE = "CAPTURE_TOO_LARGE"
+
 ATTACKS = (
     Attack("seven zips at once of an OBJ that repeats its library", _of_zip(files.obj_of_libraries, 7), most_s=140.0),
     Attack("an OBJ of 594 KB that repeats its library", _of_zip(files.obj_of_libraries), cheap=True, most_s=20.0),
     Attack("an OBJ with a library of 300,000 materials", _of_zip(files.obj_of_a_large_library), most_s=20.0),
-    Attack("an OBJ of 60,000 materials", _of_zip(partial(files.obj_of_materials, 60_000)), cheap=True, most_s=20.0),
+    Attack("an OBJ of 60,000 materials", _of("a.obj", partial(files.obj_of_materials, 60_000), 2, _LARGE), cheap=True),
+    Attack(
+        "a face of five million corners", _of("a.ply", partial(files.ply_of_one_face, 5_100_000), 2, _LARGE), cheap=True
+    ),
+    Attack("a line of four million numbers", _of("a.xyz", files.long_line, 2, "CAPTURE_UNREADABLE"), cheap=True),
     Attack("a GLB of 200 textures of 64 megapixels", _of("a.glb", files.glb_of_textures), most_s=30.0),
     Attack("a GLB of 100,000 primitives", _of("a.glb", files.glb_of_primitives), most_s=30.0),
     Attack("eight TIFFs of 100 megapixels that share their strips", _of_zip(_tiffs)),
     Attack("ten uploads of 60 pictures of 64 megapixels", _of_zip(_album, 10), most_s=2_000.0, most_waited_s=3.0),
-    Attack("a JPEG of 700 scans", _of("a.jpg", partial(files.jpeg_of_scans, 500, 700)), cheap=True, most_s=5.0),
-    Attack("a JPEG of 4,500 × 4,500 in 80 scans", _of("a.jpg", partial(files.jpeg_of_scans, 4_500, 80)), most_s=5.0),
-    Attack("a PNG of 800 MB", _of("a.png", files.deep_png), cheap=True, most_s=5.0),
+    Attack(
+        "a JPEG of 700 scans", _of("a.jpg", partial(files.jpeg_of_scans, 500, 700), 2, "IMAGE_UNREADABLE"), cheap=True
+    ),
+    Attack(
+        "a large JPEG of 80 scans",
+        _of("a.jpg", partial(files.jpeg_of_scans, 4_500, 80), 2, "IMAGE_TOO_LARGE"),
+        cheap=True,
+    ),
+    Attack("a PNG of 800 MB", _of("a.png", files.deep_png, 2, "IMAGE_TOO_LARGE"), cheap=True),
     Attack("the preset paper, by any key", _paper, cheap=True),
     Attack("a cancelled training", _cancelled, alone=True),
     Attack("what hangs on a key that is revoked", _revoked),

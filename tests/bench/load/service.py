@@ -14,13 +14,15 @@ import sqlite3
 import statistics
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx
+import psutil
 
 from capture2vr.cli.up import free_port
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
@@ -32,13 +34,14 @@ from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.tenant_store import store_of_tenant, tenant_prefix
-from tests.support.in_process_gateway import capture
+from tests.bench.load.attack_files import cloud, zipped
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
 from tests.support.tenants import bearer, make_key
 from tests.support.workers.inspecting_worker import inspecting_worker
 
 OWNER = ALL_SCOPES - {Scope.OPERATE}
 _PATIENCE_S = 120.0
+_JOB_WORK = "capture2vr.edge.jobs.job_work"
 _REQUESTS = 1_000  # of each of two that are compared
 _WARM = 100
 _REGULARS = 50  # tenants that ask by turns
@@ -144,28 +147,47 @@ def revocation(folder: Path, _: argparse.Namespace) -> Iterator[tuple[str, str]]
 
 
 def kills(folder: Path, options: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    """Whether every job of two tenants is done, and none twice, while gateways and workers are killed by turns."""
+    """Whether every job of two tenants is done, and none twice, while workers, the processes of jobs and gateways are
+    killed by turns. The jobs are drafts of small clouds, really computed.
+    """
     chance = random.Random(7)
     began = time.monotonic()
-    with _site(folder, slots=2, gateways=2, workers=2) as site:
+    with _site(folder, slots=1, gateways=2, workers=2, worker="capture2vr.edge") as site:
         clients = {tenant: site.client(tenant) for tenant in ("ada", "bob")}
+        archive = zipped({"a.ply": cloud()})
         jobs = {}
         for number in range(options.jobs):
-            tenant = ("ada", "bob")[number % 2]
-            jobs[site.start(clients[tenant], tenant, f"key{number}", steps=4, pause_s=0.05)] = (tenant, f"key{number}")
+            tenant, key = ("ada", "bob")[number % 2], f"key{number}"
+            jobs[site.start(clients[tenant], tenant, key, archive)] = (tenant, key)
+        killed = Counter[str]()
         for number in range(options.kills):
             time.sleep(chance.uniform(0.5, 3.0))
-            victims = site.gateways if number % 2 else site.workers
-            victim = victims[chance.randrange(len(victims))]
-            victim.kill()
-            victim.start()
+            killed[_kill(site, number, chance)] += 1
         for job, (tenant, _) in jobs.items():
             site.wait(clients[tenant], job)
         states = site.states()
-        doubled = [key for job, (tenant, key) in jobs.items() if site.versions(tenant, key) != [job, job]]
+        doubled = [key for job, (tenant, key) in jobs.items() if site.versions(tenant, key) != [job]]
     yield f"{options.jobs} jobs of two tenants, {options.kills} kill -9", f"{time.monotonic() - began:.0f} s"
+    yield "killed", json.dumps(killed)
     yield "ended as", json.dumps(states)
     yield "published twice, or not by their own job", str(len(doubled))
+
+
+def _kill(site: _Site, number: int, chance: random.Random) -> str:
+    """Kill one of a worker, a job's process and a gateway, by turns; start it again, except the job's process."""
+    kind = ("worker", "job", "gateway")[number % 3]
+    if kind == "job":
+        deadline = time.monotonic() + _PATIENCE_S
+        while not (computing := site.computing()):
+            assert time.monotonic() < deadline, "no job is computed"
+            time.sleep(0.02)
+        with suppress(psutil.NoSuchProcess):
+            chance.choice(computing).kill()
+        return kind
+    victim = chance.choice(site.gateways if kind == "gateway" else site.workers)
+    victim.kill()
+    victim.start()
+    return kind
 
 
 class _Site:
@@ -190,11 +212,27 @@ class _Site:
         self._clients.append(made)
         return made
 
-    def start(self, client: httpx.Client, tenant: str, key: str, **script: Any) -> str:
-        """Start a job, as a phone would: again, at the next gateway, until there is an answer."""
-        name = capture(store_of_tenant(self._store, tenant), f"cap-{key}", **{"steps": 1, "pause_s": 0.05, **script})
-        body = {"capture": name, "asset_key": key}
+    def start(self, client: httpx.Client, tenant: str, key: str, archive: bytes = b"", **script: Any) -> str:
+        """Start a job, as a phone would: again, at the next gateway, until there is an answer.
+
+        archive  of the capture; none: one that holds the script of quick work
+        """
+        archive = archive or json.dumps({"steps": 1, "pause_s": 0.05, **script}).encode()
+        name = f"cap-{key}"
+        stored = store_of_tenant(self._store, tenant)
+        stored.put(f"captures/{name}.zip", archive, content_type="application/zip")
+        body = {"capture": name, "asset_key": key, "preset": "draft"}
         return str(self._ask(client, "POST", "/v1/jobs", json=body, headers={"Idempotency-Key": key})["id"])
+
+    def computing(self) -> list[psutil.Process]:
+        """The processes of jobs that are computed now: each is a fork of the server that has loaded what they need."""
+        below = (each for worker in self.workers for each in psutil.Process(worker.pid).children(recursive=True))
+        found = []
+        for process in below:
+            with suppress(psutil.NoSuchProcess):
+                if all(_JOB_WORK in each.cmdline() for each in (process, process.parent()) if each is not None):
+                    found.append(process)
+        return found
 
     def wait(self, client: httpx.Client, job: str) -> None:
         """Wait until a job has ended."""
@@ -241,12 +279,19 @@ class _Site:
 
 
 @contextmanager
-def _site(folder: Path, *, slots: int, gateways: int = 1, workers: int = 1) -> Iterator[_Site]:
+def _site(
+    folder: Path,
+    *,
+    slots: int,
+    gateways: int = 1,
+    workers: int = 1,
+    worker: str = "tests.support.workers.scripted_work_worker",
+) -> Iterator[_Site]:
     shared = {"STORAGE_ROOT": folder / "objects", "OMP_NUM_THREADS": 1}
     edge_ports, ports = [free_port() for _ in range(workers)], [free_port() for _ in range(gateways)]
     edges = [
         ServiceProcess(
-            "tests.support.workers.scripted_work_worker",
+            worker,
             folder / f"edge{number}.log",
             EDGE_PORT=port,
             EDGE_SLOTS=slots,

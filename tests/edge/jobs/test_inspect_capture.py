@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 
-import numpy as np
 import psutil
 import pytest
 
@@ -17,6 +16,7 @@ from capture2vr.edge.errors import Cancelled, CaptureError
 from capture2vr.edge.jobs.inspect_capture import Inspector
 from capture2vr.edge.jobs.reading_limits import limited_reading
 from capture2vr.process.fork_client import ForkServer
+from tests.bench.load.attack_files import obj_of_materials, ply_of_one_face
 from tests.support import captures
 
 
@@ -26,22 +26,6 @@ def packed(folder: Path, **files: bytes) -> Path:
         for name, content in files.items():
             entries.writestr(name.replace("__", "."), content)
     return archive
-
-
-def ply_of_one_face(corners: int) -> bytes:
-    """A square of vertices, and one polygon of so many corners on it."""
-    xyz = np.random.default_rng(0).random((4000, 3), np.float32)
-    head = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(xyz)}\nproperty float x\nproperty float y\n"
-        "property float z\nelement face 1\nproperty list uint int vertex_indices\nend_header\n"
-    )
-    indices = (np.arange(corners, dtype="<u4") % len(xyz)).astype("<i4")
-    return head.encode() + xyz.tobytes() + np.uint32(corners).tobytes() + indices.tobytes()
-
-
-def obj_of_materials(count: int) -> bytes:
-    """A triangle of each material."""
-    return b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"".join(b"usemtl m%d\nf 1 2 3\n" % number for number in range(count))
 
 
 def scratch_in(folder: Path) -> Path:
