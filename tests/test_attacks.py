@@ -41,6 +41,7 @@ def product() -> Iterator[Product]:
 
 
 @pytest.mark.slow
+@pytest.mark.essential
 @pytest.mark.parametrize("attack", [each for each in ATTACKS if each.cheap], ids=lambda each: each.name)
 def test_an_attack_of_the_bench_changes_nothing_for_others(attack: Attack, product: Product) -> None:
     """Those that cost little; `python -m tests.bench attack` has all, and what they may cost."""

@@ -20,7 +20,7 @@ from capture2vr.edge.worker.memory_budget import MemoryBudget, machine_bytes, ma
 from capture2vr.edge.worker.server import serve
 from capture2vr.edge.worker.settings import EdgeSettings, central_credentials, server_security
 from capture2vr.process.logs import configure
-from capture2vr.process.private_files import write_for_own_user
+from capture2vr.process.private_files import hide_secrets, write_for_own_user
 from capture2vr.process.strict_settings import SettingsError
 from capture2vr.storage.settings import StorageSettings, open_policy, open_store
 
@@ -33,6 +33,7 @@ def start() -> int:
     In a container it runs in a child process, again whenever the kernel has killed it for want of memory.
     """
     write_for_own_user()
+    hide_secrets()
     if not is_container_start():
         return _start(out_of_memory=False)
     settings = EdgeSettings()

@@ -6,7 +6,7 @@ import sys
 
 from capture2vr.gateway.server import serve
 from capture2vr.gateway.settings import GatewaySettings
-from capture2vr.process.private_files import write_for_own_user
+from capture2vr.process.private_files import hide_secrets, write_for_own_user
 from capture2vr.process.strict_settings import SettingsError
 from capture2vr.storage.settings import StorageSettings, open_keys, open_store
 
@@ -17,6 +17,7 @@ def start(*, everybody: bool = False) -> int:
     everybody  let everybody in without an access key, as GATEWAY_OPEN does
     """
     write_for_own_user()
+    hide_secrets()
     try:
         settings = GatewaySettings(open=True) if everybody else GatewaySettings()
         storage = StorageSettings()
