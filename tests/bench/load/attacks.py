@@ -243,9 +243,9 @@ def _strangers_folder(product: Product) -> Verdict:
 
 @contextmanager
 def _small_disk(folder: Path) -> Iterator[Path]:
-    """A disk of 64 MB at a folder."""
+    """A disk of 600 MB at a folder."""
     folder.mkdir()
-    subprocess.run(("mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(folder)), check=True)
+    subprocess.run(("mount", "-t", "tmpfs", "-o", "size=600m", "tmpfs", str(folder)), check=True)
     try:
         yield folder
     finally:
