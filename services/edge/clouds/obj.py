@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from capture2vr.edge.arrays import Floats, Ints, Tick
 from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
-from capture2vr.edge.capture.images import check_header, read_bytes
+from capture2vr.edge.capture.images import check_header, header_size, read_bytes
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.mtl import Material, read_mtl
 from capture2vr.edge.clouds.obj_colours import ObjColours
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
-from capture2vr.edge.clouds.surface_colours import absent_textures
+from capture2vr.edge.clouds.surface_colours import TexturePixels, absent_textures
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
@@ -63,8 +63,11 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
         return ObjFile(cloud, None)
     known = _materials(folder, file, reader.libraries, frozenset(reader.materials))
     used = [known.get(name, Material()) for name in reader.materials]
+    pixels = TexturePixels(file)
     for name in {each.texture for each in used if each.texture}:
-        check_header(read_bytes(folder.path(name), name), name)
+        data = read_bytes(folder.path(name), name)
+        check_header(data, name)
+        pixels.add(header_size(data) or (1, 1))
     uv = np.zeros((len(coordinates), 2))
     uv[:, : coordinates.shape[1]] = coordinates[:, :2]
     colours = ObjColours(folder, used, material, uv, uv_faces, faces, rgb)
