@@ -18,7 +18,7 @@ from capture2vr.edge.recordings.tum import MAX_APART_S, nearest
 from tests.support import costly
 
 _MORE = 6  # times as many repetitions, in which a cost that grows with their square grows 36-fold
-_AT_MOST = 2.5 * _MORE
+_AT_MOST = 2.0 * _MORE
 _LEAST_S = 0.01  # of processor time; below it what costs the same for all files is most of it
 _TRIES = 2
 

@@ -193,7 +193,7 @@ def _blanks(count: int) -> Files:
 def _pictures_beside(count: int) -> Files:
     """A model with many pictures that its materials do not name."""
     pictures = {f"p{number}.jpg": b"\xff\xd8\xff" for number in range(count)}
-    return {"a.obj": _OBJ * 50 + b"mtllib a.mtl\n", "a.mtl": b"# a p 12.jp x-0.jp\n" * 100 * count, **pictures}
+    return {"a.obj": _OBJ * 50 + b"mtllib a.mtl\n", "a.mtl": b"# a p 12.jp x-0.jp\n" * 400 * count, **pictures}
 
 
 def _r3d(count: int) -> Files:
@@ -215,19 +215,19 @@ LINEAR: dict[str, tuple[Make, int]] = {
     "a material that names its texture again and again": (
         lambda count: {
             "a.obj": _OBJ + b"mtllib a.mtl\n",
-            "a.mtl": b"newmtl a\n" + b"map_Kd x.png\n" * 20 * count,
+            "a.mtl": b"newmtl a\n" + b"map_Kd x.png\n" * 40 * count,
             **{f"{number}.txt": b"x" for number in range(count)},
         },
-        50,
+        100,
     ),
     "a texture behind many options": (
         lambda count: {"a.obj": _OBJ + b"mtllib a.mtl\n", "a.mtl": b"newmtl a\nmap_Kd " + b"-bm 1 " * count + b"x\n"},
-        15_000,
+        40_000,
     ),
     "a CSV of many columns and short rows": (_wide_csv, 500),
     "a transforms.json of many keys and frames": (_shared_keys, 500),
     "a photo in very many folders": (_deep_path, 5_000),
     "a calibration of blanks": (_blanks, 4_000),
-    "pictures beside a model": (_pictures_beside, 60),
+    "pictures beside a model": (_pictures_beside, 100),
     "a .r3d of many frames": (_r3d, 100),
 }
