@@ -123,12 +123,17 @@ class Stack:
                 if child.poll() is not None:
                     raise BadInput(f"the service {name} cannot start: {_last_line(self._logs / f'{name}.log')}")
             try:
-                if httpx.get(f"{self.url}/readyz", timeout=2.0, trust_env=False).is_success:
+                if self._is_ready(exclude="disk"):  # on a full disk there is still much to read, and to delete
+                    if not self._is_ready():
+                        warn("the disk is almost full: nothing is taken until captures or assets are deleted")
                     return
             except httpx.TransportError:
                 pass
             time.sleep(0.1)
         raise BadInput(f"the services were not ready within {_READY_S:.0f} s; see {self._logs}")
+
+    def _is_ready(self, **query: str) -> bool:
+        return httpx.get(f"{self.url}/readyz", params=query, timeout=2.0, trust_env=False).is_success
 
     def stop(self) -> None:
         """Stop the gateway, then the worker, so that no new job reaches a worker that is shutting down."""

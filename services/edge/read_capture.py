@@ -71,6 +71,8 @@ _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "gr
 # Where a model names its textures, besides its own first lines; and the folders that programs put them into.
 _MATERIALS = (".mtl", ".gltf")
 _MATERIAL_BYTES = 4 * 2**20
+_BETWEEN_NAMES = re.compile(r"[\s\"'/\\,;:=<>()]")
+_SEARCHED = 2**18  # characters in which a name of several words is searched for
 _TEXTURES = re.compile("texture|material|maps", re.IGNORECASE)
 _FORMATS_HINT = say("send_photos_video_point_cloud")
 
@@ -143,13 +145,27 @@ def _unused_photos(folder: Folder, model: str) -> list[str]:
         for name in folder.names
         if name == model or name.lower().endswith(_MATERIALS)
     ]
-    named = unquote(b"\n".join(texts).decode("utf-8", "replace"))
+    named = _Named(unquote(b"\n".join(texts).decode("utf-8", "replace")))
     found = [
         name
         for name in photos.pictures(folder)
         if posixpath.basename(name) not in named and not _TEXTURES.search(posixpath.dirname(name))
     ]
     return found if len(found) >= MIN_PHOTOS else []
+
+
+class _Named:
+    """Tells the file names that a text has: looked up among its words, as searching it for each of 5,000 takes long.
+
+    A name that is itself several words is searched for in the text's beginning.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._head = text[:_SEARCHED]
+        self._words = frozenset(_BETWEEN_NAMES.split(text))
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._words or (_BETWEEN_NAMES.search(name) is not None and name in self._head)
 
 
 def _read_pictures(folder: Folder) -> Capture:

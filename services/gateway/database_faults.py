@@ -19,7 +19,9 @@ def fault_of(error: SQLAlchemyError) -> Fault:
     """Return what a failed call says of the database, by Postgres' SQLSTATE or SQLite's words."""
     cause = error.orig if isinstance(error, DBAPIError) else error
     code, text = getattr(cause, "sqlstate", None), str(cause).lower()
-    if code == "53100" or "is full" in text or "no space" in text:
+    # SQLite calls it an I/O error where the index of its write-ahead log has no space.
+    no_index = getattr(cause, "sqlite_errorname", "") == "SQLITE_IOERR_SHMSIZE"
+    if no_index or code == "53100" or "is full" in text or "no space" in text:
         return Fault.FULL
     if code == "25006" or "readonly database" in text:
         return Fault.READ_ONLY

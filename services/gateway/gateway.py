@@ -19,6 +19,7 @@ from capture2vr.gateway.access.sharing import Sharing
 from capture2vr.gateway.access.usage import Usage
 from capture2vr.gateway.backup.scrub import Scrub
 from capture2vr.gateway.backup.snapshots import Snapshots
+from capture2vr.gateway.database.disk_reserve import DiskReserve
 from capture2vr.gateway.dispatch.dispatcher import Dispatcher
 from capture2vr.gateway.dispatch.downloads import Downloads
 from capture2vr.gateway.jobs.async_store import AsyncJobStore
@@ -92,10 +93,11 @@ class RecordParts:
 
 @dataclass(frozen=True, slots=True)
 class UpkeepParts:
-    """What looks after the store's files and the database."""
+    """What looks after the store's files, the database and its disk."""
 
     scrub: Scrub
     snapshots: Snapshots
+    reserve: DiskReserve
 
 
 @dataclass(frozen=True, slots=True)

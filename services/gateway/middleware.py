@@ -130,6 +130,16 @@ class RequestMiddleware:
             reader.reset(asking)
             request_id.reset(token)
 
+    def _check(self, gateway: Gateway, scope: Scope, headers: Headers) -> None:
+        """Check all but the body of a request, and make room for a deletion. Raises Problem."""
+        _check_head(scope)
+        self._sites.check(scope["method"], headers)
+        _refuse_key_in_url(scope)
+        client = scope.get("client")
+        gateway.access.limits.spend_address(client[0] if client else "")
+        if scope["method"] == "DELETE":
+            gateway.upkeep.reserve.give_up_if_full()
+
     async def _handle(self, scope: Scope, receive: Receive, send: Send, headers: Headers, identity: str) -> None:
         gateway = gateway_in(scope["app"])
         is_upload = _UPLOADS.fullmatch(scope["path"]) is not None
@@ -154,11 +164,7 @@ class RequestMiddleware:
                 await send_with_headers(message)
 
         try:
-            _check_head(scope)
-            self._sites.check(scope["method"], headers)
-            _refuse_key_in_url(scope)
-            client = scope.get("client")
-            gateway.access.limits.spend_address(client[0] if client else "")
+            self._check(gateway, scope, headers)
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
             await self._app(scope, partial(exchange.receive, receive), send_unless_refused)

@@ -18,6 +18,7 @@ from capture2vr.gateway.access.usage import Usage
 from capture2vr.gateway.backup.scrub import Scrub
 from capture2vr.gateway.backup.snapshots import Snapshots
 from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.database.disk_reserve import DiskReserve
 from capture2vr.gateway.dispatch.dispatcher import Dispatcher
 from capture2vr.gateway.dispatch.downloads import Downloads
 from capture2vr.gateway.dispatch.run_supervisor import Dependencies
@@ -210,4 +211,5 @@ def _upkeep(equipment: Equipment) -> UpkeepParts:
     # A store that is no folder checks its disks itself.
     days = settings.scrub_days if isinstance(store, LocalStore) else 0.0
     scrub = Scrub(store, settings.data_dir / "scrub.json", days)
-    return UpkeepParts(scrub, Snapshots(settings.database, settings.snapshots_dir, settings.snapshots))
+    snapshots = Snapshots(settings.database, settings.snapshots_dir, settings.snapshots)
+    return UpkeepParts(scrub, snapshots, DiskReserve(settings.data_dir))

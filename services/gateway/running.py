@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanag
 from dataclasses import replace
 from typing import Any
 
+from capture2vr.gateway.database.disk_reserve import DiskReserve
 from capture2vr.gateway.database.instance_lock import Instance, lock_instance, lock_replica
 from capture2vr.gateway.gateway import Gateway
 from capture2vr.gateway.jobs.other_gateways import OtherGateways
@@ -26,6 +27,7 @@ async def running(equipment: Equipment) -> AsyncIterator[Gateway]:
     async with AsyncExitStack() as stack:
         instance = stack.enter_context(lock_folder(equipment.settings))
         settings = equipment.settings.model_copy(update={"data_dir": instance.folder})
+        DiskReserve(instance.folder).give_up_if_full()
         gateway = open_gateway(replace(equipment, settings=settings), instance.id, stack)
         for background in _background(gateway):
             task = asyncio.create_task(background)
@@ -57,6 +59,7 @@ def _background(gateway: Gateway) -> tuple[Coroutine[Any, Any, None], ...]:
         gateway.webhooks.deliveries.run(),
         gateway.upkeep.snapshots.run(),
         gateway.upkeep.scrub.run(),
+        gateway.upkeep.reserve.keep(),
         Expiry(gateway.captures.resumable, gateway.store, gateway.access.usage.add).run(),
         gateway.records.data.keep_retention(),
     )

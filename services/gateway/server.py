@@ -19,7 +19,9 @@ from capture2vr.gateway.access.store import AccessStore
 from capture2vr.gateway.app import create_app
 from capture2vr.gateway.connections import ConnectionLimits, LimitedProtocol
 from capture2vr.gateway.database.database import open_engine
+from capture2vr.gateway.database.disk_reserve import DiskReserve
 from capture2vr.gateway.database.instance_lock import FolderInUse
+from capture2vr.gateway.database_faults import Fault, fault_of
 from capture2vr.gateway.gateway import gateway_in
 from capture2vr.gateway.running import lock_folder
 from capture2vr.gateway.settings import GatewaySettings
@@ -47,13 +49,20 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
         listening = _listen_with_keys(settings)
     # ImportError: the database's driver is not installed
     except (FolderInUse, OSError, SQLAlchemyError, ImportError, SettingsError) as error:
-        _log.error("cannot start: %s", error)
+        _log.error("cannot start: %s", _why(error, settings))
         return 1
     with listening:
         _announce(settings, listening.getsockname()[1])
         if not keys.verification_keys:
             _log.warning("signatures of collections are not checked: set STORAGE_SIGNING_KEY or STORAGE_TRUSTED_KEYS")
         return _run(uvicorn.Server(server_config(app, settings)), listening)
+
+
+def _why(error: Exception, settings: GatewaySettings) -> str:
+    """Return why the gateway cannot start."""
+    if isinstance(error, SQLAlchemyError) and fault_of(error) is Fault.FULL:
+        return f"the disk of {settings.data_dir} is full, so that its database cannot be opened: free some space"
+    return str(error)
 
 
 def _run(server: uvicorn.Server, listening: socket.socket) -> int:
@@ -87,6 +96,7 @@ def refuse_without_keys(settings: GatewaySettings) -> None:
 
     Opens the database, brings its schema up to date, and stores the operator's key of the settings.
     """
+    DiskReserve(settings.data_dir).give_up_if_full()
     engine = open_engine(settings.database)
     try:
         if secret := settings.operator_key.get_secret_value():

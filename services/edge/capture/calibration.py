@@ -21,7 +21,8 @@ from capture2vr.edge.capture.nouns import Intrinsics
 _SUFFIXES = (".txt", ".info", ".cam", ".calib", ".intr", ".intrinsics", ".pincam", ".yaml", ".yml", ".cfg", ".ini", "")
 _MOST_BYTES = 65_536  # of a calibration; those of eight cameras with distortion take 2 kB
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_NAMED = re.compile(rf"\b(fx|fy|cx|cy|width|height)\b[\"']?\s*[:= ]\s*({_NUMBER})", re.IGNORECASE)
+# Possessive, so that a run of blanks is read once, and not once from each of them.
+_NAMED = re.compile(rf"\b(fx|fy|cx|cy|width|height)\b[\"']?(?:\s*+[:=]\s*+|[ \t]++)({_NUMBER})", re.IGNORECASE)
 _EXACT = 1e-3  # elements of a camera matrix that have to be 0 or 1
 _ORTHONORMAL = 1e-2  # error of a rotation's elements in a table of poses
 _FEWEST_ROWS = 100  # of a cloud; a table of fewer beside pictures is none

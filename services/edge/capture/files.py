@@ -23,6 +23,7 @@ from capture2vr.sentences.sentence import say
 
 MAX_FILES = 20_000  # a minute of LiDAR at 60 frames/s with three files each is 10,800
 MAX_DEPTH = 6  # levels of folders below the capture's root that are listed
+_ANYWHERE = "/"  # no file's folder is called so
 MAX_TEXT_BYTES = 256 * 2**20  # of a JSON or CSV; no phone's recording has a larger one
 
 
@@ -67,9 +68,11 @@ class Folder:
     names: tuple[str, ...]
     tick: Tick = field(default=no_tick, repr=False, compare=False)
     _known: frozenset[str] = field(init=False, repr=False, compare=False)
+    _by_end: dict[tuple[str, str], str] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_known", frozenset(self.names))  # thousands of frames are looked up by name
+        object.__setattr__(self, "_by_end", _first_by_end(self.names))
 
     def path(self, name: str) -> Path:
         return self.root / name
@@ -118,10 +121,23 @@ class Folder:
         except CaptureError as error:
             outside = error
         last = posixpath.basename(written.replace("\\", "/")).lower()
-        found = [name for name in self.names if posixpath.basename(name).lower() == last]
-        if not found and outside is not None:
+        found = self._by_end.get((beside, last)) or self._by_end.get((_ANYWHERE, last))
+        if found is None and outside is not None:
             raise outside
-        return min(found, key=lambda name: (posixpath.dirname(name) != beside, name), default=None)
+        return found
+
+
+def _first_by_end(names: tuple[str, ...]) -> dict[tuple[str, str], str]:
+    """Map (folder, file name in lower case) to the first name like this; the folder is also _ANYWHERE.
+
+    A hostile file refers to a hundred thousand others: so a look-up must not go through all names.
+    """
+    found: dict[tuple[str, str], str] = {}
+    for name in sorted(names):
+        place, last = posixpath.split(name)
+        found.setdefault((place, last.lower()), name)
+        found.setdefault((_ANYWHERE, last.lower()), name)
+    return found
 
 
 def open_folder(root: Path) -> Folder:

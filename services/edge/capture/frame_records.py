@@ -10,7 +10,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.capture.depth import ColourSource, DepthSource, ImageColour, confidence_image, depth_file
-from capture2vr.edge.capture.files import Folder, unreadable
+from capture2vr.edge.capture.files import MAX_FILES, Folder, unreadable
 from capture2vr.edge.capture.nouns import Capture, Frame, Intrinsics, ShownPicture
 from capture2vr.edge.capture.poses import Axes, checked_pose
 from capture2vr.edge.capture.upright_places import StoredPlaces
@@ -20,6 +20,7 @@ from capture2vr.sentences.sentence import in_row, say
 MAX_BAD_SHARE = 0.1  # of the frames may have a broken pose or depth; they are dropped with a warning
 _FOCAL_RANGE = (0.05, 50.0)  # focal length over the image's longer side: a field of view of 170 degrees to 1 degree
 _FAR_M = 50.0  # metres; phones measure up to 5 m, so a larger median depth means another unit
+_NAME_LETTERS = 200  # of a file's name in a warning; a hostile list has names of megabytes
 _FRAMES_TO_WARN_OF = 3  # files that a warning names; of the others it gives the number
 
 
@@ -103,6 +104,9 @@ def rgbd_capture(
     """
     if not records:
         raise CaptureError("CAPTURE_EMPTY", say("has_no_frames_with_both"), file=file)
+    if len(records) > MAX_FILES:  # a list that names one image again and again: each entry is checked anew
+        hints = (say("send_fewer_frames_example_every"),)
+        raise CaptureError("CAPTURE_TOO_LARGE", say("has_more_than_frames", most=MAX_FILES), file=file, hints=hints)
     frames, dropped = _valid_frames(records, axes)
     _check_sizes(frames)
     _check_depth(frames, file)
@@ -304,7 +308,8 @@ def missing_warning(names: Sequence[str], what: str) -> tuple[str, ...]:
 
 def first_names(names: Sequence[str]) -> str:
     """Return the first names of a list, for a warning, and dots where there are more."""
-    return ", ".join(names[:_FRAMES_TO_WARN_OF]) + (", ..." if len(names) > _FRAMES_TO_WARN_OF else "")
+    more = ", ..." if len(names) > _FRAMES_TO_WARN_OF else ""
+    return ", ".join(name[:_NAME_LETTERS] for name in names[:_FRAMES_TO_WARN_OF]) + more
 
 
 def no_poses(file: str, expected: str) -> CaptureError:

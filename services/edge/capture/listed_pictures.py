@@ -59,7 +59,8 @@ def _resolve(folder: Folder, path: object, by: str) -> tuple[str, CaptureError |
 def _alike_alone(folder: Folder, paths: list[str], taken: set[str]) -> dict[str, str]:
     """Map paths to the pictures that are most like them, without those that are taken or that several are like."""
     tails = _tails(folder) if paths else {}
-    found = {path: name for path in paths if (name := _alike(path, tails)) is not None and name not in taken}
+    deepest = max((tail.count("/") + 1 for tail in tails), default=0)
+    found = {path: name for path in paths if (name := _alike(path, tails, deepest)) is not None and name not in taken}
     paths_to = Counter(found.values())
     return {path: name for path, name in found.items() if paths_to[name] == 1}
 
@@ -77,13 +78,15 @@ def _tails(folder: Folder) -> _Tails:
     return tails
 
 
-def _alike(path: str, tails: _Tails) -> str | None:
-    """Return the picture that shares most of the path's last parts, or None."""
+def _alike(path: str, tails: _Tails, deepest: int) -> str | None:
+    """Return the picture that shares most of the path's last parts, or None. deepest: the most parts that a tail has"""
     parts = _parts(path.lower())
     stem, suffix = posixpath.splitext(parts[-1]) if parts else ("", "")
     for at in range(len(parts)):
         if at and _NO_PHOTOS.search(parts[at - 1]):
             return None
+        if at < len(parts) - deepest:  # a path of a million parts is joined no more than `deepest` times
+            continue
         for last in (parts[-1], stem):
             if found := tails.get("/".join((*parts[at:-1], last))):
                 return found.get(suffix) or next(iter(found.values()))

@@ -18,22 +18,20 @@ from numpy.typing import NDArray
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder, parse_json, translate_errors, truncated, unreadable
+from capture2vr.edge.clouds.gltf_tree import TRANSFORM, used_tree, without_unread
 from capture2vr.edge.clouds.tables import MAX_POINTS, too_many_points
-from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
 LIGHT = "_LIGHT"
 """Vertex attribute of a rewritten glTF: its vertex colours (V,3) as linear light in [0,1]."""
 
-MAX_NODES = 5_000  # of a scene; trimesh takes about a millisecond per node
 _GLB_HEADER = 12
 _BIN = b"BIN\0"
-_TRIANGLES, _STRIP = 4, 5  # modes of primitives that trimesh makes a mesh of
 _FLOAT = 5126
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", _FLOAT: "<f4"}
 _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_TRANSFORM, _GLOSS = "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"
-_READ_EXTENSIONS = (_TRANSFORM, "KHR_mesh_quantization", "EXT_texture_webp", "KHR_lights_punctual", "KHR_xmp_json_ld")
+_GLOSS = "KHR_materials_pbrSpecularGlossiness"
+_READ_EXTENSIONS = (TRANSFORM, "KHR_mesh_quantization", "EXT_texture_webp", "KHR_lights_punctual", "KHR_xmp_json_ld")
 _SHADING = "KHR_materials_"  # begins the names of extensions that leave shape and base colour as they are
 _UNCOMPRESSED = say("export_gltf_without_compression")
 _ADVICE = {
@@ -59,14 +57,15 @@ def plain_gltf(
         tree, chunk = parse_json(data.decode("utf-8-sig", "replace"), file), b""
     _check(tree, folder, file)
     with translate_errors(file, "glTF"):
-        buffers = _Buffers(tree, chunk, beside, file)
         for material in tree.get("materials", []):
             _take_diffuse(material)
-        for mesh in tree.get("meshes", []):
+        tree = used_tree(tree, file)
+        buffers = _Buffers(tree, chunk, beside, file)
+        for mesh in tree["meshes"]:
             for primitive in mesh["primitives"]:
-                if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP):
-                    primitive["attributes"] = _plain_attributes(primitive, tree, buffers)
-        return json.dumps(tree).encode(), buffers.contents
+                primitive["attributes"] = _plain_attributes(primitive, tree, buffers)
+        plain = without_unread(tree, sum(map(len, buffers.contents.values())), file)
+        return json.dumps(plain).encode(), buffers.contents
 
 
 def _glb_parts(data: bytes, file: str) -> tuple[dict[str, Any], bytes]:
@@ -99,9 +98,6 @@ def _check(tree: dict[str, Any], folder: Folder, file: str) -> None:
             if name not in _READ_EXTENSIONS and not str(name).startswith(_SHADING):
                 advice = _ADVICE.get(name, say("export_gltf_without_extension"))
                 raise unreadable(file, say("needs_not_supported", name=str(name)[:120]), advice)
-        if len(tree.get("nodes", [])) > MAX_NODES:
-            what = say("has_more_than_nodes", most=MAX_NODES)
-            raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(say("join_meshes_scene_into"),))
         for accessor in tree.get("accessors", []):
             if int(accessor["count"]) > 3 * MAX_POINTS:
                 raise too_many_points(int(accessor["count"]), file)
@@ -215,10 +211,9 @@ def _plain_attributes(primitive: dict[str, Any], tree: dict[str, Any], buffers: 
     material = tree["materials"][primitive["material"]] if "material" in primitive else {}
     texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
     if texture is not None:
-        transform = texture.get("extensions", {}).get(_TRANSFORM, {})
-        uv = attributes.get(f"TEXCOORD_{transform.get('texCoord', texture.get('texCoord', 0))}")
+        uv = attributes.get(f"TEXCOORD_{texture['texCoord']}")
         if uv is not None:
-            plain["TEXCOORD_0"] = _plain_uv(uv, transform, buffers)
+            plain["TEXCOORD_0"] = _plain_uv(uv, texture["transform"], buffers)
     if "COLOR_0" in attributes:
         plain[LIGHT] = buffers.add(attributes["COLOR_0"], "light", _light)
     return plain

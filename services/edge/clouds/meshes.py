@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from io import BytesIO
 from typing import Any
 
@@ -10,13 +11,15 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats, Ints
 from capture2vr.edge.capture.files import Folder, translate_errors, truncated
-from capture2vr.edge.capture.images import check_header, check_pixels, read_bytes
+from capture2vr.edge.capture.images import check_header, read_bytes
 from capture2vr.edge.clouds.gltf import LIGHT, find_uri, plain_gltf
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, ColourAt, SampledSurface, too_many_faces
-from capture2vr.edge.clouds.surface_colours import absent_textures, nearest_texels, vertex_colours
+from capture2vr.edge.clouds.surface_colours import TexturePixels, absent_textures, nearest_texels, vertex_colours
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.sentences.sentence import say
+
+_MAX_SOLIDS = 1_000  # of an ASCII STL; programs write one, or one for each part
 
 
 class _SiblingFiles(Mapping[str, bytes]):
@@ -65,6 +68,8 @@ def read_mesh(folder: Folder, file: str, kind: str) -> tuple[list[SampledSurface
     beside, parser = _SiblingFiles(folder, file), kind
     if kind == "off":
         _check_off(data, file)
+    elif kind == "stl":
+        _check_solids(data, file)
     elif kind in ("glb", "gltf"):
         data, beside.buffers = plain_gltf(data, kind, folder, file, beside)
         parser = "gltf"
@@ -78,6 +83,7 @@ def read_mesh(folder: Folder, file: str, kind: str) -> tuple[list[SampledSurface
         faces = sum(len(getattr(loaded.geometry[loaded.graph[node][1]], "faces", ())) for node in nodes)
         if faces > MAX_FACES:
             raise too_many_faces(faces, file)
+        _check_textures(loaded, nodes, file)
         pictures: _Pictures = {}
         surfaces = [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
     return surfaces, absent_textures(file, beside.absent)
@@ -95,8 +101,28 @@ def _check_off(data: bytes, file: str) -> None:
         raise truncated(file, say("cut_off_header_announces", what=what))
 
 
+def _check_solids(data: bytes, file: str) -> None:
+    """Refuse an ASCII STL of too many solids, in a time that grows with their square where they have one name."""
+    if (count := len(re.findall(rb"endsolid", data, re.IGNORECASE))) > _MAX_SOLIDS:
+        what = say("has_more_solids_than_read", count=count, most=_MAX_SOLIDS)
+        raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(say("join_meshes_scene_into"),))
+
+
 _Pictures = dict[int, Bytes]
 """Cache of decoded textures by the `id` of their image: many parts of a scene share a few textures."""
+
+
+def _check_textures(loaded: Any, nodes: Iterable[str], file: str) -> None:
+    """Add up the pixels of a scene's textures before any is decoded. Raises IMAGE_TOO_LARGE, CAPTURE_TOO_LARGE."""
+    shown = (loaded.geometry[loaded.graph[node][1]] for node in nodes)
+    images = (_base_texture(getattr(getattr(each, "visual", None), "material", None)) for each in shown)
+    pixels = TexturePixels(file)
+    for image in {id(image): image for image in images if image is not None}.values():
+        pixels.add(image.size)
+
+
+def _base_texture(material: Any) -> Any:
+    return getattr(material, "baseColorTexture", None)
 
 
 def _surface(scene: Any, node: str, pictures: _Pictures) -> SampledSurface | None:
@@ -140,7 +166,7 @@ def _gltf_colours(material: Any, visual: Any, light: Floats | None, faces: Ints,
     White for a material without any of them.
     """
     factor = getattr(material, "baseColorFactor", None)  # bytes of linear light
-    texel_at = _texture(getattr(material, "baseColorTexture", None), visual, faces, pictures)
+    texel_at = _texture(_base_texture(material), visual, faces, pictures)
     linear = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3] / 255
 
     def colour_at(triangle: Ints, weights: Floats) -> Bytes:
@@ -157,7 +183,6 @@ def _texture(image: Any, visual: Any, faces: Ints, pictures: _Pictures) -> Colou
     if image is None or visual.uv is None:
         return None
     uv = np.asarray(visual.uv, np.float64)
-    check_pixels(image.size, "texture")
     if id(image) not in pictures:
         pictures[id(image)] = np.asarray(image.convert("RGB"))
     pixels = pictures[id(image)]

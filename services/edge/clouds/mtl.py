@@ -7,6 +7,7 @@ the file: a file of that name is then looked for in the capture. Nothing outside
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from capture2vr.edge.capture.files import Folder, read_text
@@ -36,12 +37,13 @@ class Material:
     offset: tuple[float, float] = (0.0, 0.0)
 
 
-def read_mtl(folder: Folder, file: str) -> dict[str, Material]:
-    """Read the materials of an MTL file by their names.
+def read_mtl(folder: Folder, file: str, used: Collection[str]) -> dict[str, Material]:
+    """Read those materials of an MTL file that are used, by their names; each texture is looked up once.
 
     Raises CAPTURE_UNREADABLE for a texture outside the capture that is not in the capture either.
     """
     materials: dict[str, Material] = {}
+    textures: dict[str, str] = {}  # what is written behind a material's last `map_Kd`
     name = None
     for line in read_text(folder.path(file), file).splitlines():
         words = line.split(None, 1)
@@ -49,27 +51,31 @@ def read_mtl(folder: Folder, file: str) -> dict[str, Material]:
             continue
         key, rest = words[0].lower(), words[1].strip()
         if key == "newmtl":
-            name = rest
-            materials[name] = Material()
+            name = rest if rest in used else None
+            if name is not None:
+                materials[name] = Material()
+                textures.pop(name, None)
         elif name is not None and key == "kd" and (diffuse := _colour(rest)) is not None:
             materials[name] = replace(materials[name], diffuse=diffuse)
         elif name is not None and key == "map_kd":
-            materials[name] = _textured(materials[name], rest, folder, file)
-    return materials
+            textures[name] = rest
+    return materials | {name: _textured(materials[name], rest, folder, file) for name, rest in textures.items()}
 
 
 def _textured(material: Material, rest: str, folder: Folder, file: str) -> Material:
     """Return the material with the texture that is named after `map_Kd` and its options."""
     scale, offset = material.scale, material.offset
-    while (option := _OPTION.match(rest)) is not None:
-        rest = rest[option.end() :]
+    at = 0  # not the rest of the text again and again: a line of a million options would be copied as often
+    while (option := _OPTION.match(rest, at)) is not None:
+        at = option.end()
         values = (option["values"] or "").split()
         if option[0].startswith(("-s", "-S")):
             scale = _pair(values, 1.0)
         elif option[0].startswith(("-o", "-O")):
             offset = _pair(values, 0.0)
-    found = folder.find(rest, by=file)
-    return replace(material, texture=found, absent="" if found else rest, scale=scale, offset=offset)
+    written = rest[at:]
+    found = folder.find(written, by=file)
+    return replace(material, texture=found, absent="" if found else written, scale=scale, offset=offset)
 
 
 def _pair(values: list[str], default: float) -> tuple[float, float]:
@@ -79,10 +85,11 @@ def _pair(values: list[str], default: float) -> tuple[float, float]:
 
 def _colour(rest: str) -> tuple[float, float, float] | None:
     """Read `r g b`, or `r` for a grey; None for a spectrum or nonsense."""
-    numbers = [number for word in rest.split()[:3] if (number := _number(word)) is not None]
+    words = rest.split(None, 3)
+    numbers = [number for word in words[:3] if (number := _number(word)) is not None]
     if len(numbers) == 3:
         return numbers[0], numbers[1], numbers[2]
-    return (numbers[0],) * 3 if len(numbers) == 1 and len(rest.split()) == 1 else None
+    return (numbers[0],) * 3 if len(numbers) == 1 and len(words) == 1 else None
 
 
 def _number(word: str) -> float | None:

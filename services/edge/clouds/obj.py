@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import posixpath
 import warnings
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from itertools import chain, takewhile
@@ -19,17 +19,18 @@ from numpy.typing import NDArray
 
 from capture2vr.edge.arrays import Floats, Ints, Tick
 from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
-from capture2vr.edge.capture.images import check_header, read_bytes
+from capture2vr.edge.capture.images import check_header, header_size, read_bytes
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.mtl import Material, read_mtl
 from capture2vr.edge.clouds.obj_colours import ObjColours
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
-from capture2vr.edge.clouds.surface_colours import absent_textures
+from capture2vr.edge.clouds.surface_colours import TexturePixels, absent_textures
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
 MAX_MATERIALS = 500  # scanners write tens; a large texture takes a second to decode
+MAX_LIBRARIES = 100  # files of materials; programs write one, or one for each part that was joined
 _MAX_LINE = 2**20  # bytes: a polygon of a hundred thousand corners
 _PACKED = 200_000  # rows or faces that wait as words before they become numbers: words take ten times as much memory
 _TICK = 100_000  # lines between calls of the folder's tick
@@ -60,10 +61,13 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     cloud = Cloud(vertices[:, :3], rgb)
     if len(faces) == 0:
         return ObjFile(cloud, None)
-    known = _materials(folder, file, reader.libraries)
+    known = _materials(folder, file, reader.libraries, frozenset(reader.materials))
     used = [known.get(name, Material()) for name in reader.materials]
+    pixels = TexturePixels(file)
     for name in {each.texture for each in used if each.texture}:
-        check_header(read_bytes(folder.path(name), name), name)
+        data = read_bytes(folder.path(name), name)
+        check_header(data, name)
+        pixels.add(header_size(data) or (1, 1))
     uv = np.zeros((len(coordinates), 2))
     uv[:, : coordinates.shape[1]] = coordinates[:, :2]
     colours = ObjColours(folder, used, material, uv, uv_faces, faces, rgb)
@@ -110,7 +114,7 @@ class _Reader:
         self._file = file
         self.vertices, self.coordinates = _Rows(3), _Rows(1)
         self.materials = [""]  # names, in the order of their first use; "" before the first
-        self.libraries: list[str] = []
+        self.libraries: dict[str, None] = {}  # as they are written, each once
         self._numbers = {"": 0}
         self._material = 0
         self._corners: list[bytes] = []
@@ -155,7 +159,7 @@ class _Reader:
         elif key == b"usemtl":
             self._use(_rest(line))
         elif key == b"mtllib":
-            self.libraries.append(_rest(line))
+            self._add_library(_rest(line))
 
     def _use(self, name: str) -> None:
         self._material = self._numbers.setdefault(name, len(self.materials))
@@ -165,6 +169,11 @@ class _Reader:
             what = say("has_more_than_materials", most=MAX_MATERIALS)
             hints = (say("export_mesh_with_one_texture"),)
             raise CaptureError("CAPTURE_TOO_LARGE", what, file=self._file, hints=hints)
+
+    def _add_library(self, written: str) -> None:
+        self.libraries[written] = None
+        if len(self.libraries) > MAX_LIBRARIES:
+            raise _too_many_libraries(self._file)
 
     def _add_face(self, corners: list[bytes]) -> None:
         if len(corners) < 3:
@@ -230,15 +239,31 @@ def _numbers(words: list[bytes], kind: type[np.float64 | np.int64]) -> NDArray[A
     return numbers
 
 
-def _materials(folder: Folder, file: str, libraries: Iterable[str]) -> dict[str, Material]:
-    """Read the material libraries of a mesh; of one that is absent, the one that has the mesh's own name."""
+def _materials(folder: Folder, file: str, libraries: Iterable[str], used: Collection[str]) -> dict[str, Material]:
+    """Read the material libraries of a mesh, each once; of one that is absent, the one that has the mesh's own name."""
     materials: dict[str, Material] = {}
-    for written in libraries:
-        names = [folder.find(written, by=file)]
-        if names == [None] and len(written.split()) > 1:
-            names = [folder.find(each, by=file) for each in written.split()]
-        own = posixpath.splitext(file)[0] + ".mtl"  # the mesh was renamed together with its materials
-        for name in names:
-            if name is not None or folder.exists(own):
-                materials = read_mtl(folder, name or own) | materials
+    own = posixpath.splitext(file)[0] + ".mtl"  # the mesh was renamed together with its materials
+    found = dict.fromkeys(name or own for written in libraries for name in _library_files(folder, file, written))
+    for name in found:
+        if folder.exists(name):
+            materials = read_mtl(folder, name, used) | materials
     return materials
+
+
+def _library_files(folder: Folder, file: str, written: str) -> Iterator[str | None]:
+    """Yield the files that one line `mtllib` names, None for each that is absent; a name may have blanks.
+
+    Raises CAPTURE_TOO_LARGE for a line of too many.
+    """
+    name, words = folder.find(written, by=file), written.split(None, MAX_LIBRARIES)
+    if name is not None or len(words) < 2:
+        yield name
+        return
+    if len(words) > MAX_LIBRARIES:
+        raise _too_many_libraries(file)
+    yield from (folder.find(each, by=file) for each in words)
+
+
+def _too_many_libraries(file: str) -> CaptureError:
+    what = say("names_more_than_material_libraries", most=MAX_LIBRARIES)
+    return CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(say("export_mesh_with_one_material_library"),))

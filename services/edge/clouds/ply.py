@@ -22,9 +22,11 @@ from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, too_many_faces
 from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS, MAX_POINTS, named_columns, raw_columns, too_many_points
+from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
 _HEADER_BYTES = 2**20  # limit of a header with its comments; real ones have a few hundred bytes
+_MAX_ELEMENTS, _MAX_PROPERTIES = 100, 1_000  # of a header; real ones have two elements, and splats 62 properties
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
@@ -152,12 +154,21 @@ def _header(head: bytes, file: str) -> tuple[list[_PlyElement], str, int]:
             order = _ORDERS.get(words[1])
         elif words[:1] == ["element"]:
             elements.append(_PlyElement(words[1], int(words[2]), ()))
+            _check_header_count("element", len(elements), _MAX_ELEMENTS, file)
         elif words[:1] == ["property"]:
             last = elements[-1]
+            _check_header_count("property", len(last.properties) + 1, _MAX_PROPERTIES, file)
             elements[-1] = _PlyElement(last.name, last.count, (*last.properties, _property(words[1:])))
     if order is None or any(element.count < 0 for element in elements):
         raise unreadable(file, say("has_ply_header_without_known"))
     return elements, order, stop + 1
+
+
+def _check_header_count(word: str, count: int, most: int, file: str) -> None:
+    """Raise CAPTURE_TOO_LARGE for more lines of a kind than are read: each costs as much as there are others."""
+    if count > most:
+        what, hint = say("has_header_with_more_lines", word=word, most=most), say("export_with_fewer_properties")
+        raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(hint,))
 
 
 def _property(words: list[str]) -> _Property:

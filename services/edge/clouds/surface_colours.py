@@ -7,11 +7,31 @@ from collections.abc import Iterable
 import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.capture.images import check_pixels
 from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.sample_surface import ColourAt
+from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import in_row, say
 
 _SOME = 3  # names in a warning
+_MAX_TEXELS = 1_000_000_000  # of all textures of a file: 60 of 4,096 pixels a side, which take ten seconds
+
+
+class TexturePixels:
+    """Adds up the pixels of a file's textures, before they are decoded: a picture of one colour takes few bytes."""
+
+    def __init__(self, file: str) -> None:
+        self._file = file
+        self._count = 0
+
+    def add(self, size: tuple[int, int]) -> None:
+        """Count a texture of this width and height. Raises IMAGE_TOO_LARGE, CAPTURE_TOO_LARGE."""
+        width, height = check_pixels(size, "texture")
+        self._count += width * height
+        if self._count > _MAX_TEXELS:
+            what = say("has_textures_of_more_megapixels", most=_MAX_TEXELS // 10**6)
+            hints = (say("export_mesh_with_smaller_textures"),)
+            raise CaptureError("CAPTURE_TOO_LARGE", what, file=self._file, hints=hints)
 
 
 def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:

@@ -37,9 +37,10 @@ def read(folder: Folder) -> Capture:
     colours, confidences = _by_time(folder, _COLOUR, ".png"), _by_time(folder, _CONFIDENCE, ".png")
     cameras = _by_time(folder, _CAMERAS, ".pincam")
     camera_times, camera_files = np.array([*cameras]), [*cameras.values()]
-    records = []
-    for time, depth in _by_time(folder, _DEPTH, ".png").items():
-        pose, camera = nearest(times, time), nearest(camera_times, time)
+    depths, records = _by_time(folder, _DEPTH, ".png"), []
+    wanted = np.array([*depths])
+    near = zip(depths.items(), nearest(times, wanted), nearest(camera_times, wanted), strict=True)
+    for (time, depth), pose, camera in near:
         if pose is None or camera is None:
             continue
         records.append(
@@ -74,20 +75,16 @@ def _read_camera(folder: Folder, name: str) -> Intrinsics:
     return pinhole(np.array(focal_and_middle), image_dimensions(width, height, name))
 
 
-def _read_trajectory(folder: Folder) -> tuple[Floats, list[Floats]]:
-    """Read times (N,) in seconds and camera-to-world poses (4,4)."""
+def _read_trajectory(folder: Folder) -> tuple[Floats, Floats]:
+    """Read times (N,) in seconds and camera-to-world poses (N,4,4); NaN, refused later, where one is not finite."""
     lines = data_lines(read_text(folder.path(_TRAJECTORY), _TRAJECTORY))
-    table = [numbers(line.split(), 7, file=_TRAJECTORY, what="a line") for line in lines]
-    if not table:
+    if not lines:
         raise no_poses(_TRAJECTORY, f"a pose in {_TRAJECTORY}")
-    return np.array([row[0] for row in table]), [_pose(row[1:4], row[4:7]) for row in table]
-
-
-def _pose(axis_angle: Floats, translation: Floats) -> Floats:
-    """Return the camera-to-world pose (4,4); NaN, which is refused later, where the numbers are not finite."""
-    pose = np.eye(4)
-    if not (np.isfinite(axis_angle).all() and np.isfinite(translation).all()):
-        return np.full((4, 4), np.nan)
-    to_world = Rotation.from_rotvec(axis_angle).inv().as_matrix()
-    pose[:3, :3], pose[:3, 3] = to_world, -to_world @ translation
-    return pose
+    table = np.stack([numbers(line.split(), 7, file=_TRAJECTORY, what="a line") for line in lines])
+    known = np.isfinite(table[:, 1:]).all(axis=1)
+    poses = np.full((len(table), 4, 4), np.nan)
+    to_world = Rotation.from_rotvec(table[known, 1:4]).inv().as_matrix()
+    poses[known] = np.eye(4)
+    poses[known, :3, :3] = to_world
+    poses[known, :3, 3] = -np.einsum("nij,nj->ni", to_world, table[known, 4:7])
+    return table[:, 0], poses

@@ -18,7 +18,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder, number_order, numbers, read_text, truncated, unreadable
-from capture2vr.edge.capture.frame_records import checked_intrinsics, missing_warning
+from capture2vr.edge.capture.frame_records import checked_intrinsics, first_names, missing_warning
 from capture2vr.edge.capture.images import read_bytes
 from capture2vr.edge.capture.listed_pictures import find_pictures
 from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
@@ -83,7 +83,7 @@ def read(folder: Folder) -> Capture:
     places = find_pictures(folder, [image.name for image in images], by=images_file)
     missing = [image.name for image in images if image.name not in places]
     if not places:
-        reason = say("lists_photos_but_capture", count=len(missing), name=missing[0])
+        reason = say("lists_photos_but_capture", count=len(missing), name=first_names(missing[:1]))
         hint = say("send_photos_together_with_model")
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=images_file, hints=(hint,))
     present = [image for image in images if image.name in places]

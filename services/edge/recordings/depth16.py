@@ -11,7 +11,6 @@ width: f = width * min(P00, P11) / 2. For the Honor View 20 that is 178.8 px of 
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.csv_rows import csv_rows
 from capture2vr.edge.capture.depth import ImageColour
 from capture2vr.edge.capture.files import Folder, numbers, read_text, translate_errors, truncated
 from capture2vr.edge.capture.frame_records import FrameRecord, missing_warning, no_poses, rgbd_capture
@@ -78,8 +78,7 @@ def _rows(folder: Folder) -> dict[str, Mapping[str, str]]:
     """Read poses.csv: frame's number -> its row."""
     text = read_text(folder.path(POSES), POSES)
     with translate_errors(POSES, "CSV of poses"):
-        table = csv.DictReader(text.splitlines())
-        rows: dict[str, Mapping[str, str]] = {(row.get("frame") or "").strip(): row for row in table}
+        rows: dict[str, Mapping[str, str]] = {row.get("frame", "").strip(): row for row in csv_rows(text)}
     if not rows:
         raise no_poses(POSES, "a row in poses.csv")
     return rows

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import posixpath
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +22,7 @@ from capture2vr.edge.capture.files import Folder, number, numbers, read_json, un
 from capture2vr.edge.capture.frame_records import (
     FrameRecord,
     checked_intrinsics,
+    first_names,
     image_dimensions,
     missing_warning,
     rgbd_capture,
@@ -43,7 +45,7 @@ _NEGLIGIBLE_DISTORTION = (
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
 _MODELS = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
-_Named = tuple[dict[str, Any], str]
+_Named = tuple[Mapping[str, Any], str]
 """A frame, and the name of its image."""
 
 
@@ -64,13 +66,14 @@ def read(folder: Folder) -> Capture:
         return _photos(folder, tree, frames)
     present, missing = _split_present(folder, written)
     if not present:
-        reason = say("lists_depth_images_but_capture", count=len(missing), name=missing[0])
+        reason = say("lists_depth_images_but_capture", count=len(missing), name=first_names(missing[:1]))
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_folder_depth_images"),))
     if _is_preview(folder, present[0][1]) and (capture := _photos_instead(folder, tree, frames, present[0][1])):
         return capture
     colours = find_pictures(folder, [frame["file_path"] for frame in frames if "file_path" in frame], by=FILE)
     records = [
-        _record(folder, tree | frame, depth, colours.get(str(frame.get("file_path")))) for frame, depth in present
+        _record(folder, ChainMap(dict(frame), tree), depth, colours.get(str(frame.get("file_path"))))
+        for frame, depth in present
     ]
     warnings = missing_warning(missing, say("word_depth_images"))
     return rgbd_capture("nerfstudio", records, axes="opengl", up=None, file=FILE, warnings=warnings)
@@ -85,7 +88,9 @@ def _frames(tree: Mapping[str, Any]) -> list[dict[str, Any]]:
     return frames
 
 
-def _split_present(folder: Folder, written: Sequence[tuple[dict[str, Any], object]]) -> tuple[list[_Named], list[str]]:
+def _split_present(
+    folder: Folder, written: Sequence[tuple[Mapping[str, Any], object]]
+) -> tuple[list[_Named], list[str]]:
     """Return the frames whose image is in the capture, and the paths of the other frames' images."""
     found = find_pictures(folder, [path for _, path in written], by=FILE)
     present = [(frame, found[str(path)]) for frame, path in written if str(path) in found]
@@ -94,9 +99,9 @@ def _split_present(folder: Folder, written: Sequence[tuple[dict[str, Any], objec
 
 def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]]) -> Capture:
     """Read the images as posed photos. The scale is unknown: it depends on the program that computed the poses."""
-    present, missing = _split_present(folder, [(tree | frame, frame.get("file_path")) for frame in frames])
+    present, missing = _split_present(folder, [(ChainMap(frame, tree), frame.get("file_path")) for frame in frames])
     if not present:
-        reason = say("lists_images_but_capture", count=len(missing), name=missing[0])
+        reason = say("lists_images_but_capture", count=len(missing), name=first_names(missing[:1]))
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_images"),))
     tries = [partial(_photo, folder, frame, name) for frame, name in present]
     depths = find_pictures(folder, filter(None, map(_depth_path, frames)), by=FILE).values()

@@ -7,7 +7,9 @@ against gravity. Phones without a depth sensor write no .depth.
 
 from __future__ import annotations
 
+import struct
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -36,6 +38,7 @@ from capture2vr.sentences.sentence import say
 
 _METADATA = "metadata"
 _MAX_ENTRY_BYTES = 64 * 2**20  # of one file in the zip, unpacked; a phone's picture or depth image has a few MiB
+_LOCAL_HEADER = struct.Struct("<4s22x2H")  # of an entry of a zip: magic, lengths of name and extra (APPNOTE 4.3.7)
 _UP_Y = np.array([0.0, 1.0, 0.0])
 
 
@@ -64,19 +67,43 @@ class _Unpacked:
 
 @dataclass(frozen=True, slots=True)
 class _Archive:
-    """Files of a recording in a zip, read one by one in memory; files above _MAX_ENTRY_BYTES are refused."""
+    """Files of a recording in a zip, read one by one in memory; files above _MAX_ENTRY_BYTES are refused.
+
+    Its list of files is read once: with ten thousand frames, reading it for each would take half an hour.
+    """
 
     path: Path
-    names: tuple[str, ...]
+    entries: Mapping[str, zipfile.ZipInfo]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.entries)
 
     def read(self, name: str) -> bytes:
-        with translate_errors(name, "entry of the .r3d"), zipfile.ZipFile(self.path) as archive:
-            size = archive.getinfo(name).file_size
-            if size > _MAX_ENTRY_BYTES:
-                reason = say("unpacks_to_bytes_most_read", found=size, most=_MAX_ENTRY_BYTES)
+        with translate_errors(name, "entry of the .r3d"):
+            entry = self.entries[name]
+            if entry.file_size > _MAX_ENTRY_BYTES:
+                reason = say("unpacks_to_bytes_most_read", found=entry.file_size, most=_MAX_ENTRY_BYTES)
                 raise CaptureError("CAPTURE_TOO_LARGE", reason, file=name)
-            with archive.open(name) as entry:
-                return entry.read(_MAX_ENTRY_BYTES)
+            plain = _unpacked(self.path, entry)
+            if zlib.crc32(plain) != entry.CRC:
+                raise zipfile.BadZipFile("its checksum is wrong")
+            return plain
+
+
+def _unpacked(path: Path, entry: zipfile.ZipInfo) -> bytes:
+    """Read a zip's entry, at most _MAX_ENTRY_BYTES of it; the file is opened anew, as other processes read it too."""
+    with path.open("rb") as stream:
+        stream.seek(entry.header_offset)
+        head = stream.read(_LOCAL_HEADER.size)
+        magic, name_bytes, extra_bytes = _LOCAL_HEADER.unpack(head)
+        if magic != b"PK\x03\x04" or entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise zipfile.BadZipFile("its header is wrong")
+        stream.seek(name_bytes + extra_bytes, 1)
+        packed = stream.read(min(entry.compress_size, 2 * _MAX_ENTRY_BYTES))
+    if entry.compress_type == zipfile.ZIP_STORED:
+        return packed[:_MAX_ENTRY_BYTES]
+    return zlib.decompressobj(-zlib.MAX_WBITS).decompress(packed, _MAX_ENTRY_BYTES)
 
 
 def matches(folder: Folder) -> bool:
@@ -104,10 +131,11 @@ def is_archive(path: Path) -> bool:
 def read_archive(path: Path, file: str) -> Capture:
     """Read a .r3d. Raises CaptureError, naming the file."""
     with translate_errors(file, ".r3d"), zipfile.ZipFile(path) as archive:
-        names = tuple(archive.namelist())
-    if len(names) > MAX_FILES:
-        raise CaptureError("CAPTURE_TOO_LARGE", say("has_files_most_read", count=len(names), most=MAX_FILES), file=file)
-    return _read(_Archive(path, names))
+        entries = {entry.filename: entry for entry in archive.infolist()}
+    if len(entries) > MAX_FILES:
+        what = say("has_files_most_read", count=len(entries), most=MAX_FILES)
+        raise CaptureError("CAPTURE_TOO_LARGE", what, file=file)
+    return _read(_Archive(path, entries))
 
 
 def _read(files: _RecordingFiles) -> Capture:

@@ -6,7 +6,6 @@ axes in ARKit's world, Y against gravity. Phones without LiDAR write no depth.
 
 from __future__ import annotations
 
-import csv
 import posixpath
 from collections.abc import Mapping
 from functools import partial
@@ -14,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.csv_rows import csv_rows
 from capture2vr.edge.capture.depth import confidence_image, depth_file
 from capture2vr.edge.capture.files import Folder, numbers, read_text, translate_errors, unreadable
 from capture2vr.edge.capture.frame_records import (
@@ -90,9 +90,7 @@ def _odometry(folder: Folder) -> dict[int, Mapping[str, str]]:
     """Read odometry.csv: frame number -> its row."""
     text = read_text(folder.path(ODOMETRY), ODOMETRY)
     with translate_errors(ODOMETRY, "CSV of poses"):
-        table = csv.DictReader(text.splitlines(), skipinitialspace=True)
-        rows = [{(key or "").strip(): value for key, value in row.items()} for row in table]
-        found: dict[int, Mapping[str, str]] = {int(row["frame"]): row for row in rows}
+        found: dict[int, Mapping[str, str]] = {int(row["frame"]): row for row in csv_rows(text)}
     if not found:
         raise no_poses(ODOMETRY, "a row in odometry.csv")
     return found

@@ -143,15 +143,14 @@ def _read_tum(folder: Folder, truth: str | None) -> Capture:
 def _associate(folder: Folder, depths: Sequence[_Stamped], colours: Sequence[_Stamped], stamps: Floats) -> _Associated:
     """Find the pose and the colour image of each depth image; `stamps` (N,) of the poses, in seconds."""
     paired = _Associated([], [], [])
-    colour_stamps = np.array([seconds for seconds, _ in colours])
-    for stamp, depth in depths:
-        pose = nearest(stamps, stamp)
+    wanted = np.array([seconds for seconds, _ in depths])
+    near_colours = nearest(np.array([seconds for seconds, _ in colours]), wanted)
+    for (_, depth), pose, colour in zip(depths, nearest(stamps, wanted), near_colours, strict=True):
         if not folder.has(depth):
             paired.missing.append(depth)
         elif pose is None:
             paired.unposed.append(depth)
         else:
-            colour = nearest(colour_stamps, stamp)
             name = None if colour is None else colours[colour][1]
             paired.usable.append((depth, pose, name if name is not None and folder.has(name) else None))
     return paired
@@ -181,13 +180,22 @@ def _stamped_names(folder: Folder, what: str) -> list[_Stamped]:
     return sorted((float(numbers(stamp, 1, file=index, what="time stamp")[0]), name) for stamp, name in pairs)
 
 
-def nearest(stamps: Floats, stamp: float) -> int | None:
-    """Return the index of the time stamp closest to `stamp`, or None if it is more than MAX_APART_S away."""
+def nearest(stamps: Floats, wanted: Floats) -> list[int | None]:
+    """Return, for each time `wanted`, the index of the closest time stamp; None for more than MAX_APART_S away.
+
+    Of equally close ones the first in time, and of equal ones the first in the list.
+    """
     if not len(stamps):
-        return None
-    apart = np.abs(stamps - stamp)
-    index = int(np.argmin(apart))
-    return index if apart[index] <= MAX_APART_S else None
+        return [None] * len(wanted)
+    known = np.where(np.isnan(stamps), np.inf, stamps)
+    order = np.argsort(known, kind="stable")
+    times = known[order]
+    after = np.minimum(np.searchsorted(times, wanted), len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    closest = np.where(np.abs(times[before] - wanted) <= np.abs(times[after] - wanted), before, after)
+    first = np.searchsorted(times, times[closest])
+    near = np.abs(times[first] - wanted) <= MAX_APART_S
+    return [int(order[at]) if is_near else None for at, is_near in zip(first, near, strict=True)]
 
 
 def _ground_truth(folder: Folder, truth: str) -> tuple[Floats, list[Floats]]:

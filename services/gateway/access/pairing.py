@@ -47,8 +47,12 @@ def pairing_from(row: Mapping[str, Any]) -> Pairing:
     return Pairing(**{**values, "scopes": parse_scopes(row["scopes"].split()), "key": row["key"] or ""})
 
 
+CODE_DIGITS = 10
+"""Digits of a code: so many that guessing needs no limit which strangers could use up (see guesses.py)."""
+
+
 def free_code(taken: set[str]) -> str:
-    """Return six random digits that no open pairing has."""
-    while (code := f"{random.randbelow(10**6):06}") in taken:
+    """Return random digits that no open pairing has."""
+    while (code := f"{random.randbelow(10**CODE_DIGITS):0{CODE_DIGITS}}") in taken:
         pass
     return code

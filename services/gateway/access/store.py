@@ -216,7 +216,7 @@ class AccessStore:
     def create_pairing(
         self, tenant: str, scopes: Iterable[Scope], *, label: str, key_expires: float | None, parent: str = ""
     ) -> tuple[Pairing, str]:
-        """Create a pairing; return it, with its code of six digits, and its token. No two at a time have one code.
+        """Create a pairing; return it, with its code of ten digits, and its token. No two at a time have one code.
 
         parent  id of the key that begins it
         """

@@ -47,7 +47,7 @@ pairings = sa.Table(
     sa.Column("label", sa.String(200), nullable=False),
     sa.Column("scopes", sa.String(100), nullable=False),
     sa.Column("token_sha256", sa.String(64), nullable=False, unique=True),
-    sa.Column("code", sa.String(6), nullable=False),
+    sa.Column("code", sa.String(10), nullable=False),
     sa.Column("expires", sa.Double, nullable=False),
     sa.Column("key_expires", sa.Double),
     sa.Column("key", sa.ForeignKey("api_keys.id")),

@@ -1,12 +1,14 @@
-"""The bytes of resumable uploads on the store: an object for each chunk, which begins with the upload's id.
+"""The bytes of resumable uploads on the store: objects whose names begin with the upload's id, one for each chunk.
 
-Names have no folder of an upload's own, because a local store would keep that for ever.
+Small chunks are joined. Names have no folder of an upload's own, because a local store would keep that for ever.
 """
 
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
 
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.resumable.store import Chunk
@@ -29,6 +31,37 @@ async def read_chunks(store: Store, upload: str, chunks: Sequence[Chunk]) -> Asy
         for start in range(0, chunk.length, _READ_BYTES):
             length = min(_READ_BYTES, chunk.length - start)
             yield await asyncio.to_thread(_read, store, chunk_name(upload, chunk), start, length)
+
+
+def small_tail(chunks: Sequence[Chunk], added: int, least: int) -> Sequence[Chunk]:
+    """Return the last chunks of an upload with which `added` bytes are to be joined, so that its objects stay few.
+
+    least  bytes from which on a chunk is large, and is left as it is
+
+    Joined are small chunks that are less than twice as large as what follows them. So small ones stand at the end
+    alone, each at least twice as large as the next: of an upload there are never more than length / least + 23 objects,
+    whatever its requests are. A joined byte is then in a chunk half as large again: it is written 38 times at
+    most, and, where each request has one byte, 12 times.
+    """
+    start, size = len(chunks), added
+    while start and chunks[start - 1].length < min(least, 2 * size):
+        start -= 1
+        size += chunks[start].length
+    return chunks[start:]
+
+
+def join_chunks(store: Store, upload: str, chunks: Sequence[Chunk], added: Path, joined: Path) -> None:
+    """Write the bytes of chunks, and behind them those of the file `added`, to the file `joined`.
+
+    Raises Problem UPLOAD_DAMAGED, STORE_UNAVAILABLE.
+    """
+    with joined.open("wb") as file:
+        for chunk in chunks:
+            for start in range(0, chunk.length, _READ_BYTES):
+                length = min(_READ_BYTES, chunk.length - start)
+                file.write(_read(store, chunk_name(upload, chunk), start, length))
+        with added.open("rb") as rest:
+            shutil.copyfileobj(rest, file, _READ_BYTES)
 
 
 def delete_chunks(store: Store, upload: str) -> None:

@@ -83,14 +83,19 @@ class UploadStore:
         with self._writer.begin() as db:
             return db.execute(uploads.update().where(*same).values(writer=writer)).rowcount == 1
 
-    def append(self, upload: str, added: Sequence[Chunk], expires: float) -> bool:
-        """Acknowledge chunks of one writer that follow what was received; False where he is not the writer any more."""
+    def append(self, upload: str, received: int, added: Sequence[Chunk], expires: float) -> bool:
+        """Acknowledge chunks of one writer that go on behind the `received` bytes; False where he is no longer it.
+
+        The first may begin earlier, and then takes the place of the chunks that it was joined with: their objects may
+        be deleted once this has returned.
+        """
         first, end = added[0], added[-1].start + added[-1].length
-        same = (uploads.c.id == upload, uploads.c.writer == first.writer, uploads.c.received == first.start)
+        same = (uploads.c.id == upload, uploads.c.writer == first.writer, uploads.c.received == received)
         with self._writer.begin() as db:
             update = uploads.update().where(*same, uploads.c.ended.is_(None))
             if db.execute(update.values(received=end, expires=expires)).rowcount != 1:
                 return False
+            db.execute(chunks.delete().where(chunks.c.upload == upload, chunks.c.start >= first.start))
             rows = [{"upload": upload, "start": c.start, "length": c.length, "writer": c.writer} for c in added]
             db.execute(chunks.insert(), rows)
         return True

@@ -6,22 +6,19 @@ import asyncio
 import logging
 import secrets
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
-from starlette.requests import ClientDisconnect
 
 from capture2vr.gateway.database.full_disk import is_disk_full
 from capture2vr.gateway.errors import Problem, storage_full
-from capture2vr.gateway.jobs.capture_objects import delete_unfinished, new_capture, put_private
-from capture2vr.gateway.resumable.chunk_objects import CHUNK_BYTES, chunk_name, delete_chunks, read_chunks
-from capture2vr.gateway.resumable.protocol import MEDIA_TYPE, Checksum
+from capture2vr.gateway.jobs.capture_objects import delete_unfinished, new_capture
+from capture2vr.gateway.resumable.chunk_objects import CHUNK_BYTES, delete_chunks, read_chunks
+from capture2vr.gateway.resumable.receiver import Part, Receiver, locked
 from capture2vr.gateway.resumable.store import LEASE_S, Chunk, Upload, UploadStore
 from capture2vr.gateway.uploads.receive import UploadBody
 from capture2vr.sentences.sentence import say
@@ -33,20 +30,6 @@ _FORM_FIELDS = ("name", "collection")
 _log = logging.getLogger(__name__)
 
 _T = TypeVar("_T")
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A request's body that goes on with an upload.
-
-    before_chunk  called before each chunk is stored, with the bytes that it has; raises Problem to refuse it
-    on_stored     called after each chunk with its bytes
-    """
-
-    batches: AsyncIterator[bytes]
-    checksum: Checksum | None
-    before_chunk: Callable[[int], Awaitable[None]]
-    on_stored: Callable[[int], Awaitable[None]]
 
 
 class ResumableUploads:
@@ -94,8 +77,8 @@ class ResumableUploads:
         """
         writer = secrets.token_hex(8)
         if not await self.run(lambda: self.database.take_over(upload, writer)):
-            raise _locked(say("continued_by_another_request_meanwhile"))
-        receiver = _Receiver(self, upload, writer, part, store)
+            raise locked(say("continued_by_another_request_meanwhile"))
+        receiver = Receiver(self, upload, writer, part, store)
         try:
             await receiver.receive()
         except OSError as error:
@@ -124,7 +107,7 @@ class ResumableUploads:
         finisher, capture = secrets.token_hex(8), new_capture()
         held = await self.run(lambda: self.database.lease(upload, finisher, capture, time.time()))
         if held is None:
-            raise _locked(say("capture_being_made"))
+            raise locked(say("capture_being_made"))
         renewing = asyncio.create_task(self._renew(upload.id, finisher))
         try:
             yield held
@@ -135,7 +118,7 @@ class ResumableUploads:
     async def remove(self, upload: Upload, store: Store) -> None:
         """Remove an upload and its bytes for good; a capture that it became stays. Raises Problem UPLOAD_LOCKED."""
         if not await self.run(lambda: self.database.remove(upload, time.time())):
-            raise _locked(say("capture_being_made"))
+            raise locked(say("capture_being_made"))
         await self.discard_capture(upload, store)
         await self.sweep(upload, store)
 
@@ -172,111 +155,7 @@ class ResumableUploads:
                 _log.warning("the lease of %s could not be renewed: %s", upload, error)
 
 
-class _Receiver:
-    """Writes one request's body to chunks of an upload."""
-
-    def __init__(self, uploads: ResumableUploads, upload: Upload, writer: str, part: Part, store: Store) -> None:
-        self._uploads = uploads
-        self._upload = upload
-        self._writer = writer
-        self._part = part
-        self._store = store
-        self._end = upload.received  # of what is in chunks on the store
-        self._spool = uploads.new_spool()
-        self._spooled = 0  # bytes
-        self._held: list[Chunk] = []  # on the store, but not acknowledged yet
-        self._hasher = part.checksum.hasher() if part.checksum else None
-
-    async def receive(self) -> None:
-        checksum = self._part.checksum
-        failure = await self._fill()
-        if failure is not None and checksum is not None:
-            raise failure
-        await self._store_chunk()
-        if failure is not None:
-            raise failure
-        if checksum is not None and self._hasher is not None:
-            checksum.check(self._hasher.digest())
-            await self._acknowledge()
-
-    async def _fill(self) -> Exception | None:
-        """Receive the body; return what ended it early. What came before is good then."""
-        batches = aiter(self._part.batches)
-        while True:
-            try:
-                batch = await anext(batches)
-            except StopAsyncIteration:
-                return None
-            except (Problem, ClientDisconnect) as failure:
-                return failure
-            if self._end + self._spooled + len(batch) > self._upload.length:
-                return too_long(self._upload.length)
-            await self._uploads.on_thread(partial(self._write, batch))
-            if self._spooled >= self._uploads.chunk_bytes:
-                await self._store_chunk()
-
-    async def close(self) -> None:
-        """Remove the temporary file, and chunks that were not acknowledged.
-
-        A chunk that the store does not delete now goes with the upload's others, once it is finished or expires.
-        """
-        self._spool.unlink(missing_ok=True)
-        for chunk in self._held:
-            name = chunk_name(self._upload.id, chunk)
-            try:
-                await self._uploads.on_thread(partial(self._store.delete, name))
-            except OSError as error:
-                _log.warning("%s is left on the store for now: %s", name, error)
-
-    def _write(self, batch: bytes) -> None:
-        with self._spool.open("ab") as file:
-            file.write(batch)
-        self._spooled += len(batch)
-        if self._hasher is not None:
-            self._hasher.update(batch)
-
-    async def _store_chunk(self) -> None:
-        """Store the spooled bytes as a chunk, and acknowledge it unless the checksum is still to be checked."""
-        if not self._spooled:
-            return
-        await self._part.before_chunk(self._spooled)
-        chunk = Chunk(self._end, self._spooled, self._writer)
-        self._held.append(chunk)  # before it is stored: on a failure it is deleted
-        await self._uploads.on_thread(lambda: self._put(chunk))
-        self._end, self._spooled = self._end + self._spooled, 0
-        if self._part.checksum is None:
-            await self._acknowledge()
-
-    def _put(self, chunk: Chunk) -> None:
-        put_private(self._store, chunk_name(self._upload.id, chunk), self._spool, MEDIA_TYPE)
-        self._spool.unlink()  # the store may have a link to it: the next chunk is another file
-
-    async def _acknowledge(self) -> None:
-        """Acknowledge the chunks that are held. Raises Problem UPLOAD_LOCKED."""
-        if not self._held:
-            return
-        # Not held while the database decides: were this cancelled just then, `close` would delete what is acknowledged.
-        chunks, self._held = self._held, []
-        database, expires = self._uploads.database, self._uploads.expiry()
-        if not await self._uploads.run(lambda: database.append(self._upload.id, chunks, expires)):
-            self._held = chunks
-            raise _locked(say("continued_by_another_request_meanwhile"))
-        await self._part.on_stored(sum(chunk.length for chunk in chunks))
-
-
 def content_of(metadata: Mapping[str, str]) -> tuple[str, str]:
     """Return the media type of an upload's bytes, and the name of the one file that they are; "" for a form."""
     media_type = metadata.get("filetype") or "application/octet-stream"
     return media_type, "" if media_type.startswith("multipart/") else metadata.get("filename", "")
-
-
-def too_long(length: int) -> Problem:
-    """Return the problem for more bytes than an upload was created for, which is `length`."""
-    detail = say("upload_has_bytes", length=length)
-    return Problem(413, "UPLOAD_TOO_LONG", detail, hints=("ask with HEAD how far it is, and send the rest alone",))
-
-
-def _locked(why: str) -> Problem:
-    hints = (say("ask_with_head_how_far"),)
-    detail = say("upload_cannot_be_changed_now", why=why)
-    return Problem(423, "UPLOAD_LOCKED", detail, retryable=True, hints=hints, headers={"Retry-After": "2"})

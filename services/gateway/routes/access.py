@@ -14,7 +14,7 @@ from pydantic import BaseModel, Field
 from capture2vr.gateway.access.api_key import ENDED, ApiKey, hash_of
 from capture2vr.gateway.access.authentication import Authentication
 from capture2vr.gateway.access.caller import Caller, Scope, scope_names
-from capture2vr.gateway.access.pairing import Pairing
+from capture2vr.gateway.access.pairing import CODE_DIGITS, Pairing
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.qr_code import qr_svg
@@ -90,10 +90,10 @@ class NewPairingView(PairingView):
 
 
 class ClaimRequest(StrictBody):
-    """What a device shows to be logged in: the token from the QR code, or the six digits."""
+    """What a device shows to be logged in: the token from the QR code, or the ten digits."""
 
     token: Annotated[str, Field(max_length=100)] = ""
-    code: Annotated[str, Field(pattern=r"^([0-9]{6})?$")] = ""
+    code: Annotated[str, Field(pattern=rf"^([0-9]{{{CODE_DIGITS}}})?$")] = ""
 
 
 class KeyRequest(StrictBody):

@@ -64,13 +64,13 @@ async def capture_page(request: Request) -> Response:
 
 @router.get("/login", response_class=Response, dependencies=[ANYONE], responses=_HTML)
 async def login_page(request: Request) -> Response:
-    """The login page: an access key, or six digits that another screen shows."""
+    """The login page: an access key, or ten digits that another screen shows."""
     return _page("login/login.html", request)
 
 
 @router.get("/pair", response_class=Response, dependencies=[ANYONE], responses=_HTML)
 async def pairing_page(request: Request) -> Response:
-    """The pairing page: shows a QR code and six digits, and logs in the phone that scans the code."""
+    """The pairing page: shows a QR code and ten digits, and logs in the phone that scans the code."""
     return _page("pair/pair.html", request)
 
 

@@ -20,8 +20,9 @@ from capture2vr.gateway.gateway import GatewayOf, gateway_of
 from capture2vr.gateway.jobs.capture_objects import is_stored, read_receipt
 from capture2vr.gateway.photo_boxes import BoxQuery, parse_box
 from capture2vr.gateway.resumable import protocol
+from capture2vr.gateway.resumable.receiver import Part, too_long
 from capture2vr.gateway.resumable.store import Upload
-from capture2vr.gateway.resumable.uploads import Part, content_of, too_long
+from capture2vr.gateway.resumable.uploads import content_of
 from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
 from capture2vr.gateway.routes.captures import CaptureView, Continues
 from capture2vr.gateway.routes.store_access import in_thread, store_of

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 
 from capture2vr.gateway.strip.in_place import MOST_PARTS, Buffer, CleanResult, UnreadableError, unique_names
@@ -39,6 +39,7 @@ def clean(data: Buffer) -> CleanResult:
     start = _logical(offset)
     xml = _read(data, start, xml_length)
     removed = []
+    touched = set[int]()  # pages; each gets its checksum once, however many texts it has
     photos: dict[bytes, str] = {}
     for number, (tag, text, end) in enumerate(_elements(xml)):
         if number >= MOST_PARTS:
@@ -47,9 +48,10 @@ def clean(data: Buffer) -> CleanResult:
         if text is None:
             photos[tag[0]] = name
         elif tag[1] not in _ALLOWED_TEXTS and _MARKS.sub(b"", xml[text:end]).strip():
-            _write(data, start + text, b" " * (end - text))
+            _write(data, start + text, b" " * (end - text), touched)
             removed.append(name)
-    removed += _blank_photos(data, photos)
+    removed += _blank_photos(data, photos, touched)
+    _write_checksums(data, touched)
     return CleanResult(unique_names(removed), len(data))
 
 
@@ -80,7 +82,7 @@ def _text_end(xml: bytes, at: int) -> int:
     return len(xml)
 
 
-def _blank_photos(data: Buffer, photos: Mapping[bytes, str]) -> list[str]:
+def _blank_photos(data: Buffer, photos: Mapping[bytes, str], touched: set[int]) -> list[str]:
     """Overwrite the content of all blobs, which are photos and their masks; return their names.
 
     photos  tag of each blob -> its name
@@ -94,7 +96,7 @@ def _blank_photos(data: Buffer, photos: Mapping[bytes, str]) -> list[str]:
         done += count
         if _physical(begin + count) > len(data) or done > len(data):
             raise UnreadableError(say("e57_has_photo_lies_beyond"))
-        if _write_zeros(data, begin, count):
+        if _write_zeros(data, begin, count, touched):
             removed.append(name)
     return removed
 
@@ -115,25 +117,32 @@ def _read(data: Buffer, start: int, count: int) -> bytes:
     return pages[start % _PAYLOAD :][:count]
 
 
-def _write(data: Buffer, start: int, content: bytes) -> None:
-    """Write bytes at a logical offset, and the checksums of the pages that they touch."""
+def _write(data: Buffer, start: int, content: bytes, touched: set[int]) -> None:
+    """Write bytes at a logical offset; the pages are added to `touched`, whose checksums are wrong then."""
     done = 0
     while done < len(content):
         page, within = divmod(start + done, _PAYLOAD)
         part = content[done : done + _PAYLOAD - within]
         at = page * _PAGE
         data[at + within : at + within + len(part)] = part
-        data[at + _PAYLOAD : at + _PAGE] = struct.pack(">I", _crc32c(bytes(data[at : at + _PAYLOAD])))
+        touched.add(page)
         done += len(part)
 
 
-def _write_zeros(data: Buffer, start: int, count: int) -> bool:
+def _write_checksums(data: Buffer, pages: Iterable[int]) -> None:
+    """Compute the checksums of pages anew."""
+    for page in sorted(pages):  # neighbours are often alike, and computed once
+        at = page * _PAGE
+        data[at + _PAYLOAD : at + _PAGE] = struct.pack(">I", _crc32c(bytes(data[at : at + _PAYLOAD])))
+
+
+def _write_zeros(data: Buffer, start: int, count: int, touched: set[int]) -> bool:
     """Overwrite `count` bytes at a logical offset with zeros, page by page; return whether any was not zero."""
     changed = False
     for at in range(start - start % _PAYLOAD, start + count, _PAYLOAD):
         first, last = max(at, start), min(at + _PAYLOAD, start + count)
         if _read(data, first, last - first).strip(b"\0"):
-            _write(data, first, bytes(last - first))
+            _write(data, first, bytes(last - first), touched)
             changed = True
     return changed
 

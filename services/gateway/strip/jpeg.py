@@ -27,6 +27,7 @@ _NEXT_MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")
 _EXIF = b"Exif\0\0"
 _ALLOWED_SEGMENTS = ((0xE0, b"JFIF\0"), (0xE0, b"JFXX\0"), (0xE2, b"ICC_PROFILE\0"), (0xEE, b"Adobe"))
 _NAMES = (
+    (0xE1, _EXIF, "Exif"),
     (0xE1, b"http://ns.adobe.com/", "XMP"),
     (0xE2, b"MPF\0", "MultiPicture"),
     (0xED, b"Photoshop", "IPTC"),
@@ -41,10 +42,12 @@ def clean(data: Buffer) -> CleanResult:
     Raises UnreadableError.
     """
     removed: list[str] = []
+    has_exif = False  # a second block says nothing that a reader needs, and decoders join them all, in quadratic time
     end = len(data)  # replaced by the end of the last segment
     for marker, start, end in _segments(data):
-        if marker == 0xE1 and data[start : start + 6] == _EXIF:
+        if not has_exif and marker == 0xE1 and data[start : start + 6] == _EXIF:
             data[start + 6 : end], names = clean_exif(bytes(data[start + 6 : end]))
+            has_exif = True
             removed += names
         elif _is_metadata(data, marker, start) and not is_blank(data, start, end):
             removed.append(_name(data, marker, start))

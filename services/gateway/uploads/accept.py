@@ -19,6 +19,7 @@ import anyio.to_thread
 from anyio import CapacityLimiter
 from starlette.requests import ClientDisconnect, Request
 
+from capture2vr.gateway.database.disk_reserve import RESERVE_BYTES
 from capture2vr.gateway.database.full_disk import is_disk_full
 from capture2vr.gateway.errors import Problem, storage_full
 from capture2vr.gateway.jobs.capture_objects import capture_name, put_private, receipt_name, unknown_capture
@@ -187,7 +188,7 @@ class Uploads:
 
     def check_free_space(self, size: int) -> None:
         """Refuse an upload of so many bytes that does not fit on the disk, before reading it. Raises Problem."""
-        if size * _COPIES > shutil.disk_usage(self._staging).free:
+        if size * _COPIES > shutil.disk_usage(self._staging).free - RESERVE_BYTES:  # deletions need some space
             raise storage_full()
 
     async def _store_capture(self, store: Store, receipt: dict[str, Any], archive: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-// The login page (/login): an access key or six digits for a session cookie; then back to the page that needed it.
+// The login page (/login): an access key or ten digits for a session cookie; then back to the page that needed it.
 import { getJson, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { forgetAccounts } from '../shared/forget.js';
@@ -8,7 +8,7 @@ import { t } from '../shared/texts.js';
 
 /** @import { Session } from '../shared/types.d.ts' */
 
-const CODE_DIGITS = 6;
+const CODE_DIGITS = 10;
 
 document.body.dataset.started = 'yes';
 const page = {
@@ -54,7 +54,7 @@ async function logInByCode(digits) {
     await logIn('/v1/pairings/claim', { code });
     return;
   }
-  say(t('A code has six digits.'));
+  say(t('A code has ten digits.'));
   page.code.focus();
 }
 

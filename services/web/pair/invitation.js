@@ -1,4 +1,4 @@
-// The operator's half of pairing: a QR code and six digits, and whether a device has used them.
+// The operator's half of pairing: a QR code and ten digits, and whether a device has used them.
 import { page, showState } from './page-state.js';
 import { getJson, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
@@ -60,7 +60,7 @@ async function start() {
   const pairing = await postJson('/v1/pairings', { scopes: own.may.value.split(' '), label: own.label.value.trim() });
   shown = pairing;
   own.qr.src = `data:image/svg+xml,${encodeURIComponent(pairing.qr)}`;
-  own.code.textContent = `${pairing.code.slice(0, 3)} ${pairing.code.slice(3)}`;
+  own.code.textContent = [pairing.code.slice(0, 3), pairing.code.slice(3, 6), pairing.code.slice(6)].join(' ');
   const { hostname, origin } = new URL(pairing.url);
   own.address.textContent = `${origin}/login`;
   own.unreachable.hidden = !LOOPBACK.includes(hostname);

@@ -1,4 +1,4 @@
-// The pairing page (/pair): shows a QR code and six digits to somebody who is logged in; logs in the phone that scans the code, which opens
+// The pairing page (/pair): shows a QR code and ten digits to somebody who is logged in; logs in the phone that scans the code, which opens
 // this page with the pairing's token behind the # of its address.
 import { claim } from './claim.js';
 import { invite } from './invitation.js';

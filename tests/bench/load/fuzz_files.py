@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from tests.support import captures
+from tests.support import captures, costly
 from tests.support.photos import private_pictures
 
 _EXTREMES = (0, 1, 2, 127, 128, 255, 256, 32767, 65535, 1 << 24, (1 << 31) - 1, 1 << 31, (1 << 32) - 1, (1 << 63) - 1)
@@ -315,6 +315,19 @@ def _changed(chance: random.Random, value: Any) -> Any:
     )
 
 
+def _costly(chance: random.Random) -> Files:
+    """Many small parts, or few that are used again and again, as tests/support/costly.py has them."""
+    if chance.random() < 0.5:
+        make, _ = costly.REFUSED[chance.choice(sorted(costly.REFUSED))]
+        return _sent(make())
+    repeat, count = costly.LINEAR[chance.choice(sorted(costly.LINEAR))]
+    return _sent(repeat(count * chance.choice((1, 10, 50))))
+
+
+def _sent(files: Files) -> Files:
+    return files if len(files) == 1 else {"capture.zip": _zipped(files)}
+
+
 _GRAMMARS: dict[str, Callable[[random.Random], Files]] = {
     "png": _png,
     "progressive jpeg": _scans,
@@ -324,4 +337,5 @@ _GRAMMARS: dict[str, Callable[[random.Random], Files]] = {
     "glb": _glb,
     "side files": _side_files,
     "zip": _archive,
+    "costly": _costly,
 }

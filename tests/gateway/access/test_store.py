@@ -127,7 +127,7 @@ def test_open_pairings_have_codes_of_their_own(store: AccessStore, monkeypatch: 
     digits = iter([1, 1, 1, 2])
     monkeypatch.setattr(module.random, "randbelow", lambda _: next(digits))
     codes = [store.create_pairing("ada", READ, label="", key_expires=None)[0].code for _ in range(2)]
-    assert codes == ["000001", "000002"]
+    assert codes == ["0000000001", "0000000002"]
 
 
 def test_gateways_share_a_secret(url: str, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import io
 import time
 import zipfile
@@ -28,7 +29,7 @@ from capture2vr.gateway.routes import uploads as uploads_routes
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.memory import MemoryStore
-from capture2vr.storage.store import Store, list_all
+from capture2vr.storage.store import Head, Store, list_all
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import s3_store
@@ -443,6 +444,55 @@ class TestProtocol:
             )
             exposed = answer.headers["Access-Control-Expose-Headers"]
             assert {"Location", "Upload-Offset", "Upload-Expires", "Tus-Resumable"} <= set(exposed.split(", "))
+
+
+class _Killed(MemoryStore):
+    """A store whose gateways are killed: nobody hears of what was written, or comes to delete anything."""
+
+    is_written_unheard = False
+    is_kept = False
+
+    def put(self, name: str, data: bytes | Path, **options: Any) -> Head:
+        head = super().put(name, data, **options)
+        if self.is_written_unheard:
+            raise OSError(errno.EIO, "killed")
+        return head
+
+    def delete(self, name: str) -> None:
+        if self.is_kept:
+            raise OSError(errno.EIO, "killed")
+        super().delete(name)
+
+
+class TestSmallParts:
+    async def test_parts_of_a_byte_make_few_objects(self, one: Site) -> None:
+        """There was one for each."""
+        data = cloud(63)
+        upload = await created(one.client, len(data), filename="scan.ply")
+        for offset in range(len(data)):
+            assert (await patch(one.client, upload, offset, data[offset : offset + 1])).status_code == 204
+            assert len(one.chunks()) <= (offset + 1).bit_length()
+        receipt = (await finish(one.client, upload)).json()
+        assert one.files(receipt) == {"scan.ply": data}
+
+    @pytest.mark.parametrize("unheard", [True, False])
+    async def test_who_is_killed_while_parts_are_joined_loses_nothing(self, unheard: bool, tmp_path: Path) -> None:
+        """Before the database knows the joined object, and before those that it has replaced are deleted."""
+        data, store = cloud(60), _Killed()
+        async with site(tmp_path, store, gateways=2) as found:
+            upload = await created(found.client, len(data), filename="scan.ply")
+            for offset in range(0, 60, 4):
+                part = data[offset : offset + 4]
+                store.is_written_unheard, store.is_kept = unheard, True
+                answer = await patch(found.clients[0], upload, offset, part)
+                assert answer.status_code == (503 if unheard else 204), answer.text
+                store.is_written_unheard = store.is_kept = False
+                assert await offset_of(found.clients[1], upload) == (offset if unheard else offset + 4)
+                if unheard:
+                    assert (await patch(found.clients[1], upload, offset, part)).status_code == 204
+            receipt = (await finish(found.client, upload)).json()
+            assert found.files(receipt) == {"scan.ply": data}
+            await until(lambda: _is_empty(found))
 
 
 class TestExpiry:

@@ -252,7 +252,7 @@ class TestPairing:
             assert pairing["qr"].startswith("<?xml")
             address, token = pairing["url"].split("#")
             assert address == f"{site.url}/pair"
-            assert len(pairing["code"]) == 6
+            assert len(pairing["code"]) == 10
             shown = {"token": token} if by == "token" else {"code": pairing["code"]}
             claimed = await site.anonymous.post("/v1/pairings/claim", json=shown)
             assert claimed.json()["tenant"] == "ada"
@@ -280,10 +280,10 @@ class TestPairing:
 
     @pytest.mark.usefixtures("still_limits")
     async def test_codes_cannot_be_guessed_at_will(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(guesses, "_OF_ADDRESS", guesses.RateLimitItemPerMinute(3))
+        monkeypatch.setattr(guesses, "_OF_NETWORK", guesses.RateLimitItemPerMinute(3))
         async with two_tenants(tmp_path, memory()) as site:
             pairing = (await site.ada.post("/v1/pairings", json=READ)).json()
-            wrong = f"{(int(pairing['code']) + 1) % 10**6:06}"
+            wrong = f"{(int(pairing['code']) + 1) % 10**10:010}"
             for _ in range(3):
                 answer = await site.anonymous.post("/v1/pairings/claim", json={"code": wrong})
                 assert await code_of(answer) == (404, "PAIRING_UNKNOWN")
@@ -293,7 +293,9 @@ class TestPairing:
             token = pairing["url"].split("#")[1]
             assert (await site.anonymous.post("/v1/pairings/claim", json={"token": token})).status_code == 200
 
-    @pytest.mark.parametrize("shown", [{}, {"token": "a", "code": "123456"}, {"code": "12345"}, {"code": "abcdef"}])
+    @pytest.mark.parametrize(
+        "shown", [{}, {"token": "a", "code": "1234567890"}, {"code": "123456789"}, {"code": "abcdefghij"}]
+    )
     async def test_one_of_both_is_shown(self, tmp_path: Path, shown: dict[str, str]) -> None:
         async with two_tenants(tmp_path, memory()) as site:
             answer = await site.anonymous.post("/v1/pairings/claim", json=shown)

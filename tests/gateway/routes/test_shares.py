@@ -152,7 +152,7 @@ async def test_a_password_is_asked_for_and_is_stored_as_a_hash(site: TwoTenants,
 
 @pytest.mark.usefixtures("still_limits")
 async def test_passwords_cannot_be_guessed_at_will(site: TwoTenants, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guesses, "_OF_ADDRESS", guesses.RateLimitItemPerMinute(2))
+    monkeypatch.setattr(guesses, "_OF_NETWORK", guesses.RateLimitItemPerMinute(2))
     made = await share(site, password="open sesame")
     for password in ("a", "b"):
         assert await code_of(await open_link(site.anonymous, made, password)) == (401, "SHARE_PASSWORD_WRONG")
@@ -165,8 +165,8 @@ async def test_passwords_cannot_be_guessed_at_will(site: TwoTenants, monkeypatch
 async def test_who_guesses_one_password_keeps_nobody_from_the_others(
     site: TwoTenants, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guesses, "_OF_ADDRESS", guesses.RateLimitItemPerMinute(99))
-    monkeypatch.setattr(guesses, "_OF_ALL", guesses.RateLimitItemPerMinute(2))
+    monkeypatch.setattr(guesses, "_OF_NETWORK", guesses.RateLimitItemPerMinute(99))
+    monkeypatch.setattr(guesses, "_OF_SHARE", guesses.RateLimitItemPerMinute(2))
     tried, other = await share(site, password="open sesame"), await share(site, password="open barley")
     for password in ("a", "b"):
         await open_link(site.anonymous, tried, password)

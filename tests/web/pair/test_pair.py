@@ -77,15 +77,15 @@ def test_a_code_stays_while_a_proxy_or_a_limit_answers(operator: Page, phone: Pa
     await_data(operator, state="paired")
 
 
-def test_a_headset_is_logged_in_by_six_digits(operator: Page, phone: Page, guarded: GuardedSite) -> None:
+def test_a_headset_is_logged_in_by_ten_digits(operator: Page, phone: Page, guarded: GuardedSite) -> None:
     digits = operator.locator("#code").inner_text()
-    assert len(digits) == 7
+    assert len(digits.replace(" ", "")) == 10
     assert operator.locator("#login-address").inner_text() == f"{guarded.url}/login"
     phone.goto(f"{guarded.url}/view/cup")
     phone.wait_for_url("**/login?next=*")
-    wrong = f"{(int(digits.replace(' ', '')) + 1) % 10**6:06}"
+    wrong = f"{(int(digits.replace(' ', '')) + 1) % 10**10:010}"
     for code in (wrong, digits):
-        phone.get_by_label("Six digits").fill(code)
+        phone.get_by_label("Ten digits").fill(code)
         phone.get_by_role("button", name="Log in with the digits").click()
         if code == wrong:
             await_data(phone, code="PAIRING_UNKNOWN")
