@@ -55,4 +55,4 @@ class ListedAsset:
 def assets_of(client: httpx.Client, collection: str, query: Mapping[str, str | int]) -> Iterator[ListedAsset]:
     """Yield the assets of a collection, sorted by key. query: of the API's search. Raises GatewayError."""
     path = f"/v1/collections/{collection}/assets"
-    return map(ListedAsset.of, paged(client, path, "assets", {**query, "limit": _PAGE}))
+    return paged(client, path, "assets", {**query, "limit": _PAGE}, ListedAsset.of)

@@ -121,7 +121,7 @@ class Client:
         True
         """
         with reaching(self.gateway):
-            yield from map(RemoteJob.of, paged(self._http, "/v1/jobs", "jobs", {"limit": _PAGE}))
+            yield from paged(self._http, "/v1/jobs", "jobs", {"limit": _PAGE}, RemoteJob.of)
 
     def follow(self, job: RemoteJob | str) -> Iterator[JobProgress]:
         """Yield the events of a job, those so far first, until it has ended; reconnects where a connection is lost.

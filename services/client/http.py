@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import httpx
 
+from capture2vr.client.answers import understood
 from capture2vr.errors import BadInput, GatewayError
 
 API_KEY_VARIABLE = "CAPTURE2VR_KEY"
@@ -41,8 +42,15 @@ def client_of(
 def open_gateway(
     gateway: str, *, timeout: httpx.Timeout = _TIMEOUT, follow_redirects: bool = False
 ) -> Iterator[httpx.Client]:
-    """Open an HTTP client as `client_of` does. Raises GatewayError, also in the block, where nothing answers."""
-    with reaching(gateway), client_of(gateway, timeout=timeout, follow_redirects=follow_redirects) as client:
+    """Open an HTTP client as `client_of` does, for a command.
+
+    Raises GatewayError, also in the block, where nothing answers, or nothing that can be read as a gateway's answer.
+    """
+    with (
+        reaching(gateway),
+        understood("one of a gateway"),
+        client_of(gateway, timeout=timeout, follow_redirects=follow_redirects) as client,
+    ):
         yield client
 
 

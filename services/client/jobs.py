@@ -6,12 +6,13 @@ import json
 import time
 import uuid
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import quote
 
 import httpx
 
-from capture2vr.client.answers import parse_answer, problem_error
+from capture2vr.client.answers import parse_answer, problem_error, understood
+from capture2vr.client.nouns import JobState
 from capture2vr.errors import BadInput, JobFailed
 
 JOB_TIMEOUT = httpx.Timeout(30.0, read=60.0)
@@ -20,6 +21,7 @@ _RECONNECT_S = 1.0  # pause before reconnecting
 _GIVE_UP_S = 120.0  # without an answer of the gateway; a restart takes seconds
 _NOT_NOW = {429, 502, 503, 504}  # 429: of other requests of the tenant there were too many
 _TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
+_STATES = get_args(JobState)
 
 
 def create_job(client: httpx.Client, path: str, request: Mapping[str, Any], capture: str) -> Any:
@@ -40,12 +42,14 @@ def create_job(client: httpx.Client, path: str, request: Mapping[str, Any], capt
 def newest_job(client: httpx.Client, key: str) -> Any:
     """Return the job that made the newest version of an asset. Raises BadInput."""
     entry = parse_answer(client.get(f"/v1/assets/{quote(key, safe='')}"))
-    made = [version for version in entry.get("versions") or [] if version.get("job")]
-    if not made:
+    with understood("list of versions"):
+        made = [version for version in entry.get("versions") or [] if version.get("job")]
+        newest = max(made, key=lambda each: int(each["version"]), default=None)
+    if newest is None:
         raise BadInput(
             f"{key}: no job of this gateway has made it, so there is no capture to continue: push all photos"
         )
-    return parse_answer(client.get(f"/v1/jobs/{max(made, key=lambda each: each['version'])['job']}"))
+    return parse_answer(client.get(f"/v1/jobs/{quote(str(newest['job']), safe='')}"))
 
 
 def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
@@ -64,8 +68,10 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
                     if line.startswith("id:"):
                         last_event = line[3:].strip()
                     elif line.startswith("data:") and line[5:].strip():
-                        yield {"stage": "", "fraction": 0.0, "state": "RUNNING", **json.loads(line[5:])}
+                        yield {"stage": "", "fraction": 0.0, "state": "RUNNING", **_event(line[5:])}
             state = parse_answer(_raise_if_not_now(client.get(f"/v1/jobs/{job}")))
+            with understood("job"):
+                _STATES.index(state["state"])  # of another one nobody knows whether the job has ended
             yield state
             if state["state"] in _TERMINAL:
                 return
@@ -73,6 +79,12 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
             if time.monotonic() - last_heard > _GIVE_UP_S:
                 raise
         time.sleep(_RECONNECT_S)
+
+
+def _event(text: str) -> dict[str, Any]:
+    """Parse an event's data. Raises GatewayError."""
+    with understood("event of a job"):
+        return dict(json.loads(text))
 
 
 def _raise_if_not_now(response: httpx.Response) -> httpx.Response:

@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 import httpx
 
-from capture2vr.client.answers import parse_answer
+from capture2vr.client.answers import parse_answer, understood
 from capture2vr.client.names import check_key
 from capture2vr.errors import BadInput
 
@@ -20,8 +20,9 @@ def keep_version(client: httpx.Client, key: str, version: int | None = None) -> 
     """
     check_key(key)
     path = f"/v1/assets/{quote(key, safe='')}"
-    number = version or _newest_held(key, parse_answer(client.get(path)))
-    return int(parse_answer(client.post(f"{path}/versions/{number}/restore"))["version"])
+    with understood("list of versions"):
+        number = version or _newest_held(key, parse_answer(client.get(path)))
+        return int(parse_answer(client.post(f"{path}/versions/{number}/restore"))["version"])
 
 
 def _newest_held(key: str, entry: dict[str, Any]) -> int:

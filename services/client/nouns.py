@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from capture2vr.client.answers import understood
+
 JobState = Literal["QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED"]
 
 
@@ -47,17 +49,18 @@ class StoredCapture:
     @classmethod
     def of(cls, receipt: Mapping[str, Any]) -> StoredCapture:
         """Convert a receipt of the API."""
-        return cls(
-            id=str(receipt["capture"]),
-            name=str(receipt["name"]),
-            kind=str(receipt["kind"]),
-            format=str(receipt["format"]),
-            frames=int(receipt["frames"]),
-            points=int(receipt["points"]),
-            bytes=int(receipt["bytes"]),
-            warnings=tuple(receipt["warnings"]),
-            files={str(each["file"]): str(each["verdict"]) for each in receipt["files"]},
-        )
+        with understood("receipt of a capture"):
+            return cls(
+                id=str(receipt["capture"]),
+                name=str(receipt["name"]),
+                kind=str(receipt["kind"]),
+                format=str(receipt["format"]),
+                frames=int(receipt["frames"]),
+                points=int(receipt["points"]),
+                bytes=int(receipt["bytes"]),
+                warnings=tuple(receipt["warnings"]),
+                files={str(each["file"]): str(each["verdict"]) for each in receipt["files"]},
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,16 +87,17 @@ class JobProgress:
     @classmethod
     def of(cls, event: Mapping[str, Any]) -> JobProgress:
         """Convert an event of the API, or the job itself."""
-        return cls(
-            state=event["state"],
-            stage=str(event["stage"]),
-            fraction=float(event["fraction"]),
-            message=str(event.get("message") or ""),
-            losses=dict(event.get("losses") or {}),
-            elapsed_s=float(event.get("elapsed_s") or 0.0),
-            eta_s=float(event.get("eta_s") or 0.0),
-            published="" if "links" in event else str((event.get("asset") or {}).get("state", "")),
-        )
+        with understood("event of a job"):
+            return cls(
+                state=event["state"],
+                stage=str(event["stage"]),
+                fraction=float(event["fraction"]),
+                message=str(event.get("message") or ""),
+                losses=dict(event.get("losses") or {}),
+                elapsed_s=float(event.get("elapsed_s") or 0.0),
+                eta_s=float(event.get("eta_s") or 0.0),
+                published="" if "links" in event else str((event.get("asset") or {}).get("state", "")),
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,24 +141,25 @@ class RemoteJob:
     @classmethod
     def of(cls, job: Mapping[str, Any]) -> RemoteJob:
         """Convert a job of the API."""
-        error, published = job["error"] or {}, job["asset"] or job["preview"] or {}
-        grade = published.get("grade") or {}
-        return cls(
-            id=str(job["id"]),
-            state=job["state"],
-            stage=str(job["stage"]),
-            fraction=float(job["fraction"]),
-            elapsed_s=float(job["elapsed_s"]),
-            preset=str(job["preset"]),
-            asset_key=str(job["asset_key"]),
-            collection=str(job["collection"]),
-            capture=str(job["capture"]),
-            version=int(published.get("version", 0)),
-            error=str(error.get("detail", "")),
-            error_code=str(error.get("code", "")),
-            warnings=tuple(job["warnings"]),
-            grade=str(grade.get("level", "")),
-            because=str(grade.get("because", "")),
-            advice=str(grade.get("advice", "")),
-            held=bool(published.get("held", False)),
-        )
+        with understood("job"):
+            error, published = job["error"] or {}, job["asset"] or job["preview"] or {}
+            grade = published.get("grade") or {}
+            return cls(
+                id=str(job["id"]),
+                state=job["state"],
+                stage=str(job["stage"]),
+                fraction=float(job["fraction"]),
+                elapsed_s=float(job["elapsed_s"]),
+                preset=str(job["preset"]),
+                asset_key=str(job["asset_key"]),
+                collection=str(job["collection"]),
+                capture=str(job["capture"]),
+                version=int(published.get("version", 0)),
+                error=str(error.get("detail", "")),
+                error_code=str(error.get("code", "")),
+                warnings=tuple(job["warnings"]),
+                grade=str(grade.get("level", "")),
+                because=str(grade.get("because", "")),
+                advice=str(grade.get("advice", "")),
+                held=bool(published.get("held", False)),
+            )

@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 
-from capture2vr.client.answers import parse_answer
+from capture2vr.client.answers import parse_answer, understood
 from capture2vr.client.earlier_results import MANIFEST, files_of_pull, names_of_both
 from capture2vr.client.names import check_collection, check_key
 from capture2vr.client.objects import RemoteObjects, fetch
@@ -169,8 +169,8 @@ def _first_collection(client: httpx.Client, key: str) -> str:
     entry = parse_answer(client.get(f"/v1/assets/{key}"))
     if entry.get("held"):
         raise BadInput(f"asset {key} is held back: its grade says to shoot again; `capture2vr keep {key}` publishes it")
-    names = entry.get("collections") or [DEFAULT_COLLECTION]
-    name = str(names[0])
+    with understood("entry of an asset"):
+        name = str((entry.get("collections") or [DEFAULT_COLLECTION])[0])
     check_collection(name)
     return name
 
@@ -223,9 +223,10 @@ def _find_entry(source: _CollectionSource, key: str) -> _FoundAsset:
     version = check_proof(key, entry, source.verification_keys, at_least=at_least)
     if source.verification_keys:
         last_seen.remember(version)
-    manifest = entry["manifest"]
-    row = Row(key, str(entry.get("label") or ""), (), version, str(entry["state"]), 0, str(manifest["sha256"]), "")
-    base = str(manifest["url"]).removesuffix(row.manifest_name)
+    with understood("entry of an asset"):
+        manifest = entry["manifest"]
+        row = Row(key, str(entry.get("label") or ""), (), version, str(entry["state"]), 0, str(manifest["sha256"]), "")
+        base = str(manifest["url"]).removesuffix(row.manifest_name)
     return _FoundAsset(RemoteObjects(source.client, base), row, f"asset {key} version {version}")
 
 

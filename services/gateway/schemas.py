@@ -48,6 +48,9 @@ Labels = Annotated[
 TenantName = Annotated[str, Field(pattern=f"^{TENANT_PATTERN}$", max_length=32)]
 
 
+_Number = Annotated[float, Field(strict=True)]  # `true` is none
+
+
 def _described(option: str, default: str = "", **limits: Any) -> Any:
     """A field with the help of the table of options; default: what the API does without it."""
     return Field(description=OPTION_TABLE[option].text(default), **limits)
@@ -76,14 +79,14 @@ class JobRequest(BaseModel):
     labels: Labels = ()
     target: Annotated[str, _described("target", "none", max_length=100)] = ""
     cut: Annotated[CutName, _described("cut")] = ""
-    longest_m: Annotated[float | None, _described("longest_m", ge=LEAST_M, le=MOST_M)] = None
+    longest_m: Annotated[float | None, _described("longest_m", strict=True, ge=LEAST_M, le=MOST_M)] = None
     collection: Annotated[
         str, _described("collection", "the one that the upload named, or that has the asset", max_length=200)
     ] = ""
     fill: Annotated[FillName, _described("fill")] = ""
-    box: Annotated[list[float | str] | None, _described("box", examples=[[0.2, 0.1, 0.8, 0.95]])] = None
+    box: Annotated[list[_Number | str] | None, _described("box", examples=[[0.2, 0.1, 0.8, 0.95]])] = None
     visibility: Annotated[Literal["", VisibilityName], _described("visibility")] = ""
-    publish_anyway: Annotated[bool, _described("publish_anyway")] = False
+    publish_anyway: Annotated[bool, _described("publish_anyway", strict=True)] = False
     edits: Annotated[Edits, _described("edits")] = NO_EDITS
 
     @property

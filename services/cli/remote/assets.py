@@ -85,8 +85,8 @@ def set_removed(key: str, gateway: str, verb: str, *, collection: str) -> None:
         check_collection(collection)
     with open_gateway(gateway) as client:
         answer = parse_answer(client.post(f"/v1/assets/{key}/{verb}", params={"collection": collection}))
-    state = "removed; its files are kept, and `restore` brings it back" if answer["removed"] else "available"
-    console.print(f"{key} version {answer['version']} is {state}")
+        state = "removed; its files are kept, and `restore` brings it back" if answer["removed"] else "available"
+        console.print(f"{key} version {answer['version']} is {state}")
 
 
 def keep(key: str, gateway: str, *, version: int | None) -> None:

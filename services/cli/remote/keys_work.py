@@ -139,7 +139,7 @@ class _AtGateway:
         return created
 
     def all(self, tenant: str) -> Iterator[dict[str, Any]]:
-        return paged(self._client, "/v1/api-keys", "keys", {"tenant": tenant or self._widest, "limit": _PAGE})
+        return paged(self._client, "/v1/api-keys", "keys", {"tenant": tenant or self._widest, "limit": _PAGE}, dict)
 
     def revoke(self, key: str) -> dict[str, Any]:
         revoked: dict[str, Any] = parse_answer(self._client.post(f"/v1/api-keys/{key}/revoke"))

@@ -25,7 +25,7 @@ def change_names(
         raise BadInput("nothing to change: give --label, --description, --tag or --no-tags")
     with open_gateway(gateway) as client:
         answer = parse_answer(client.patch(f"/v1/assets/{key}", json=changes))
-    words = f" ({', '.join(answer['labels'])})" if answer["labels"] else ""
-    console.print(Text(printable(f"{key}: {answer['label']}{words}")), soft_wrap=True)
-    if answer["description"]:
-        console.print(Text(printable(answer["description"])), soft_wrap=True)
+        words = f" ({', '.join(answer['labels'])})" if answer["labels"] else ""
+        console.print(Text(printable(f"{key}: {answer['label']}{words}")), soft_wrap=True)
+        if answer["description"]:
+            console.print(Text(printable(str(answer["description"]))), soft_wrap=True)

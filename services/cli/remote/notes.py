@@ -39,8 +39,9 @@ def change_notes(key: str, gateway: str, *, add: str, at: Place | None, remove: 
             if answer.status_code != httpx.codes.NO_CONTENT:
                 parse_answer(answer)
         found: dict[str, Any] = parse_answer(client.get(path))
-    for note in map(Note.of, found["notes"]):
-        print_listing(Text(printable(_line(note, found["version"]))))
+        lines = [_line(note, found["version"]) for note in map(Note.of, found["notes"])]
+    for line in lines:
+        print_listing(Text(printable(line)))
 
 
 def _line(note: Note, version: int) -> str:

@@ -10,6 +10,7 @@ import httpx
 
 from capture2vr.cli.grade_line import grade_line, other_warnings
 from capture2vr.cli.progress import StageBar, console, warn
+from capture2vr.client.answers import understood
 from capture2vr.client.http import open_gateway
 from capture2vr.client.jobs import JOB_TIMEOUT, create_job, follow, newest_job, raise_unless_succeeded
 from capture2vr.client.names import check_collection, check_key
@@ -42,7 +43,8 @@ def push_capture(
     with open_gateway(gateway, timeout=JOB_TIMEOUT) as client, StageBar() as bar:
         job = upload(client, source, bar, box=options.box, then=create)
         job = _followed(client, job, bar, gateway)
-    return _outcome(job, gateway)
+    with understood("job"):
+        return _outcome(job, gateway)
 
 
 def continue_capture(source: Path, gateway: str, *, key: str, cut: str | None, edits: Edits | None) -> dict[str, Any]:
@@ -62,7 +64,8 @@ def continue_capture(source: Path, gateway: str, *, key: str, cut: str | None, e
         earlier = newest_job(client, key)
         job = upload(client, source, bar, continues=earlier["capture"], then=create)
         job = _followed(client, job, bar, gateway)
-    return _outcome(job, gateway)
+    with understood("job"):
+        return _outcome(job, gateway)
 
 
 def _followed(client: httpx.Client, job: dict[str, Any], bar: StageBar, gateway: str) -> dict[str, Any]:

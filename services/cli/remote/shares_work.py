@@ -59,7 +59,7 @@ def list_shares(client: httpx.Client) -> None:
     table = Table()
     for column in ("id", "opens", "may", "label", "state", "opened", "link"):
         table.add_column(column, overflow="fold", no_wrap=column == "id")
-    for share in paged(client, "/v1/shares", "shares", {"limit": _PAGE}):
+    for share in paged(client, "/v1/shares", "shares", {"limit": _PAGE}, dict):
         thing = f"{share['kind']} {share['name']}"
         texts = (share["id"], thing, share["mode"], share["label"], _state(share), share["opened"], share["url"])
         table.add_row(*(Text(printable(str(text))) for text in texts))

@@ -28,5 +28,5 @@ def set_visibility(name: str, visibility: str, gateway: str, *, is_collection: b
     wanted = None if visibility == INHERITED else visibility
     with open_gateway(gateway) as client:
         answer = parse_answer(client.put(path, json={"visibility": wanted}))
-    console.print(f"{name}: {_MEANING[answer['effective']]}")
-    console.print(f"{gateway.rstrip('/')}{answer['view']}", soft_wrap=True)
+        console.print(f"{name}: {_MEANING[answer['effective']]}")
+        console.print(f"{gateway.rstrip('/')}{answer['view']}", soft_wrap=True)

@@ -38,7 +38,7 @@ _MOST_DAYS = 3_650
 _DEVICE_DAYS = 90  # after which a paired device is paired again
 
 Scopes = Annotated[list[Scope], Field(min_length=1, max_length=len(Scope))]
-Days = Annotated[int, Field(ge=1, le=_MOST_DAYS)]
+Days = Annotated[int, Field(strict=True, ge=1, le=_MOST_DAYS)]
 KeyId = Annotated[str, Path(max_length=64, pattern=r"^key_[0-9a-f]+$", description="Id of an access key.")]
 PairingId = Annotated[str, Path(max_length=64, pattern=r"^pair_[0-9a-f]+$", description="Id of a pairing.")]
 
@@ -108,7 +108,7 @@ class KeyRequest(StrictBody):
 class RotationRequest(StrictBody):
     """How long the old key goes on beside the new one."""
 
-    grace_days: Annotated[int, Field(ge=0, le=_MOST_DAYS)] = 1
+    grace_days: Annotated[int, Field(strict=True, ge=0, le=_MOST_DAYS)] = 1
 
 
 class KeyView(BaseModel):

@@ -30,7 +30,7 @@ router = APIRouter(prefix="/v1", tags=["data"])
 _MOST_DAYS = 36_500
 _PRIVATE = {"Cache-Control": "private, no-store"}
 
-Days = Annotated[int, Field(ge=0, le=_MOST_DAYS)]
+Days = Annotated[int, Field(strict=True, ge=0, le=_MOST_DAYS)]
 Whose = Annotated[
     str, Query(pattern=rf"^(\*|{TENANT_PATTERN})?$", description="Whose, for operators; * for all; empty: own.")
 ]

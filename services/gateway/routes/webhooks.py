@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import httpx
 from fastapi import APIRouter, Path, Query, Request, Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, StrictBool
 
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.errors import Problem
@@ -78,7 +78,7 @@ class Webhooks(BaseModel):
 class StateRequest(StrictBody):
     """Whether a webhook is disabled. Messages that waited are sent once it is enabled again."""
 
-    disabled: bool
+    disabled: StrictBool
 
 
 class MessageView(BaseModel):
