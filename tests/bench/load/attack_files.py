@@ -9,6 +9,7 @@ import zlib
 from functools import cache
 from typing import Any
 
+import laspy
 import numpy as np
 from PIL import Image
 
@@ -17,10 +18,10 @@ from tests.support.captures import glb_of
 _SIDE = 8_000  # pixels: 64 million in a picture
 
 
-def zipped(files: dict[str, bytes]) -> bytes:
-    """A zip of these files; repeated content costs little."""
+def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    """A zip of these files; packed, repeated content costs little."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "w", method) as archive:
         for name, content in files.items():
             archive.writestr(name, content)
     return buffer.getvalue()
@@ -162,3 +163,12 @@ def obj_of_a_large_library(materials: int = 300_000) -> dict[str, bytes]:
 def long_line() -> bytes:
     """A list of points whose second one has four million coordinates."""
     return b"1 2 3\n" + b"0.1 " * 4_000_000
+
+
+def laz(count: int = 600) -> bytes:
+    """An honest LAZ of random points."""
+    made = laspy.create(point_format=0)
+    made.xyz = np.random.default_rng(0).random((count, 3))
+    buffer = io.BytesIO()
+    made.write(buffer, do_compress=True)
+    return buffer.getvalue()

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import threading
 import time
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -90,8 +91,8 @@ def _of_zip(content: Callable[[], Mapping[str, bytes]], times: int = 1) -> Calla
     return _of("a.zip", lambda: files.zipped(dict(content())), times)
 
 
-def _album() -> dict[str, bytes]:
-    return {f"{number}.png": files.plain_png() for number in range(60)}
+def _album() -> bytes:
+    return files.zipped({f"{number}.png": files.plain_png() for number in range(60)}, zipfile.ZIP_STORED)
 
 
 def _tiffs() -> dict[str, bytes]:
@@ -232,10 +233,9 @@ def _strangers_folder(product: Product) -> Verdict:
         (folder / package).mkdir(parents=True)
         (folder / package / "__init__.py").write_text(f"open({str(mark)!r}, 'w')\n")
     (folder / "scan.ply").write_bytes(files.cloud())
-    (folder / "photos").mkdir()
-    (folder / "photos" / "a.png").write_bytes(files.plain_png(64))
+    (folder / "scan.laz").write_bytes(files.laz())
     environment = {name: value for name, value in product.environment.items() if name != "PYTHONSAFEPATH"}
-    for capture in ("scan.ply", "photos"):
+    for capture in ("scan.ply", "scan.laz"):
         command = product.command("run", capture, "-o", f"out-{capture}", "--preset", "draft")
         subprocess.run(command, env=environment, cwd=folder, capture_output=True, timeout=HANG_S)
     return "the stranger's code ran" if mark.exists() else "none of it ran", "it ran" if mark.exists() else ""
@@ -387,7 +387,7 @@ ATTACKS = (
     Attack("a GLB of 200 textures of 64 megapixels", _of("a.glb", files.glb_of_textures), most_s=30.0),
     Attack("a GLB of 100,000 primitives", _of("a.glb", files.glb_of_primitives), most_s=30.0),
     Attack("eight TIFFs of 100 megapixels that share their strips", _of_zip(_tiffs)),
-    Attack("ten uploads of 60 pictures of 64 megapixels", _of_zip(_album, 10), most_s=2_000.0, most_waited_s=3.0),
+    Attack("ten uploads of 60 pictures of 64 megapixels", _of("a.zip", _album, 10), most_s=2_000.0, most_waited_s=3.0),
     Attack(
         "a JPEG of 700 scans", _of("a.jpg", partial(files.jpeg_of_scans, 500, 700), 2, "IMAGE_UNREADABLE"), cheap=True
     ),

@@ -580,8 +580,10 @@ class TestTenants:
             told = {**TUS, "Content-Type": PART, "Upload-Offset": "0"}
             sending = asyncio.create_task(found.ada.patch(first, headers=told, content=slow()))
             await begun.wait()
+            await asyncio.sleep(0.2)  # else the second one may be heard of first, and the first one be refused
             while (answer := await patch(found.ada, second, 0, b"")).status_code == 204:
-                await asyncio.sleep(0.02)  # the first one has not been heard of yet
+                assert not sending.done(), sending.result().text
+                await asyncio.sleep(0.02)
             assert code(answer) == (429, "UPLOADS_LIMITED")
             assert answer.headers["Retry-After"]
             go_on.set()
