@@ -163,7 +163,7 @@ def test_what_a_child_starts_in_turn_does_not_either(strangers: Path) -> None:
 
 def test_one_place_starts_all_processes() -> None:
     starting = re.compile(
-        r"subprocess\.(Popen|run|call|check_\w+)\(|sys\.executable|create_subprocess_|os\.(exec|spawn|posix)"
+        r"subprocess\.(Popen|run|call|check_\w+)\(|sys\.executable|create_subprocess_|os\.(exec|spawn|posix_spawn)"
     )
     product = (ROOT / "services").rglob("*.py")
     assert [path.name for path in product if starting.search(path.read_text(encoding="utf-8"))] == ["child_start.py"]

@@ -49,6 +49,8 @@ def understood(what: str) -> Iterator[None]:
     """Raise GatewayError where the block cannot make `what` of an answer, as a field of it is of another type."""
     try:
         yield
+    except UnicodeEncodeError:  # of what was asked, not of the answer
+        raise
     except (TypeError, ValueError, AttributeError, LookupError) as error:
         why = " ".join(str(error).split())[:200]
         raise GatewayError(

@@ -29,17 +29,17 @@ class Site:
 
 
 @contextmanager
-def site_at(folder: Path, keys: Keys = NO_KEYS) -> Iterator[Site]:
-    """A gateway on a free port; it stops on leaving."""
+def site_at(folder: Path, keys: Keys = NO_KEYS, *workers: str) -> Iterator[Site]:
+    """A gateway on a free port; it stops on leaving. workers: addresses, in place of one that only inspects"""
     store = LocalStore(folder / "store")
-    with gateway_at(folder, store, keys) as url:
+    with gateway_at(folder, store, keys, *workers) as url:
         yield Site(url, store, keys)
 
 
 @contextmanager
-def gateway_at(folder: Path, store: Store, keys: Keys = NO_KEYS) -> Iterator[str]:
+def gateway_at(folder: Path, store: Store, keys: Keys = NO_KEYS, *workers: str) -> Iterator[str]:
     """A gateway of any store; its URL."""
-    app = create_app(GatewaySettings(data_dir=folder / "data", workers=(inspecting_worker(),)), store, keys)
+    app = create_app(GatewaySettings(data_dir=folder / "data", workers=workers or (inspecting_worker(),)), store, keys)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         server = uvicorn.Server(uvicorn.Config(app, log_config=None, ws="none", timeout_graceful_shutdown=1))
         thread = threading.Thread(target=server.run, args=([listening],))

@@ -173,7 +173,7 @@ def test_uploads_that_had_not_ended_are_forgotten(url: str, target: str, tmp_pat
         assert done is not None
         for each in (going, done):
             assert uploads.take_over(each, "writer")
-            assert uploads.append(each.id, [Chunk(0, 10, "writer")], later)
+            assert uploads.append(each.id, 0, [Chunk(0, 10, "writer")], later)
         held = uploads.lease(uploads.get("ada", done.id, time.time()) or done, "finisher", "cap_1", time.time())
         assert held is not None
         assert uploads.finish(done.id, time.time())

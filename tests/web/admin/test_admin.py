@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
+from capture2vr.storage.catalogue.signing import NO_KEYS
 from tests.support.pages import await_data
 from tests.support.sites import Site, site_at
 from tests.support.tenants import bearer, make_key, publish_for
@@ -28,7 +29,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Site, st
     for tenant in TENANTS:
         make_key(folder / "data", tenant, {Scope.READ})
     ada = make_key(folder / "data", "ada", ALL_SCOPES - {Scope.OPERATE}, label="Ada's <b>phone</b>")
-    with site_at(folder) as site:
+    with site_at(folder, NO_KEYS, "127.0.0.1:9") as site:
         publish_for(site.store, "ada", "dress")
         yield site, operator, ada
 
