@@ -120,6 +120,7 @@ def _cancelled(product: Product) -> Verdict:
     deadline = time.monotonic() + _ENDS_S
     while product.mallory.get(f"/v1/jobs/{job}").json()["stage"] != "FITTING" and time.monotonic() < deadline:
         time.sleep(0.05)
+    time.sleep(5.0)  # the first of that stage is for the preview
     product.mallory.post(f"/v1/jobs/{job}/cancel")
     time.sleep(2.0)
     before = processor_seconds([product.worker])
