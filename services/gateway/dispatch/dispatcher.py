@@ -16,6 +16,7 @@ from capture2vr.gateway.dispatch.run_supervisor import Dependencies, RunSupervis
 from capture2vr.gateway.jobs.job import Job
 from capture2vr.gateway.jobs.state_machine import lease_to_worker, take_over
 from capture2vr.gateway.jobs.store import JobStore, NextJob, Slot, SlotTaken
+from capture2vr.gateway.waiting import happens_within
 from capture2vr.gateway.workers.worker_types import WorkerStatus
 
 _POLL_S = 0.5  # between checks of the queue without a wake-up: another gateway may queue jobs
@@ -95,10 +96,7 @@ class Dispatcher:
                 _log.warning(_DATABASE_FAILED, error.__cause__ or error)
             except Exception:  # noqa: BLE001 - whatever failed, the dispatcher must go on
                 _log.exception("the dispatcher failed; trying again")
-            try:
-                await asyncio.wait_for(wake.wait(), seconds)
-            except TimeoutError:
-                continue
+            await happens_within(wake, seconds)
 
     async def _dispatch(self) -> float:
         """Lease queued jobs to workers until the queue or the free slots are used up.

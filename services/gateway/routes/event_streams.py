@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Mapping
 from typing import Annotated
 
@@ -36,11 +35,3 @@ def stream_events(
         send_timeout=_SEND_TIMEOUT_S,
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no", **(headers or {})},
     )
-
-
-async def wait_for(news: asyncio.Event, seconds: float) -> bool:
-    """Return whether there were news within so many seconds."""
-    try:
-        return await asyncio.wait_for(news.wait(), seconds)
-    except TimeoutError:
-        return False

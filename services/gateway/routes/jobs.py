@@ -37,10 +37,10 @@ from capture2vr.gateway.routes.event_streams import (
     LastEventId,
     known_event,
     stream_events,
-    wait_for,
 )
 from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
+from capture2vr.gateway.waiting import happens_within
 from capture2vr.gateway.workers.worker_types import WorkerPreset
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.edits import InvalidEdits, json_schema
@@ -260,7 +260,7 @@ async def _event_stream(
             if job.ended:
                 return
             replaying = False
-            if not await wait_for(news, HEARTBEAT_S):
+            if not await happens_within(news, HEARTBEAT_S):
                 yield _heartbeat(job)
 
 

@@ -28,7 +28,6 @@ from capture2vr.gateway.routes.event_streams import (
     LastEventId,
     known_event,
     stream_events,
-    wait_for,
 )
 from capture2vr.gateway.routes.read_rules import READS_SCENE, reading_of, still_reads_scene, unknown_scene
 from capture2vr.gateway.routes.scenes import SceneId, view_of
@@ -36,6 +35,7 @@ from capture2vr.gateway.routes.store_access import store_problems
 from capture2vr.gateway.scenes.listener import Listener
 from capture2vr.gateway.scenes.moves import MovedItem, Moves
 from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.waiting import happens_within
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.scene import Scene
 
@@ -125,7 +125,7 @@ async def _event_stream(request: Request, thing: Thing, client: str, last: int) 
                     last = found.version
             async for event in _moves_of(listener):
                 yield event
-            if not await wait_for(listener.news, max(0.0, look_at - time.monotonic())):
+            if not await happens_within(listener.news, max(0.0, look_at - time.monotonic())):
                 yield ServerSentEvent("{}", event="heartbeat")
 
 

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from capture2vr.gateway.waiting import happens_within
 from capture2vr.gateway.webhooks.outbox import Delivery, Outbox
 from capture2vr.gateway.webhooks.send import Outcome, Sender
 
@@ -55,10 +56,7 @@ class Deliveries:
                     await self._send_due()
                 except SQLAlchemyError as error:
                     _log.warning("the outbox of webhooks cannot be read, trying again: %s", error)
-                try:
-                    await asyncio.wait_for(self._wake.wait(), _POLL_S)
-                except TimeoutError:
-                    continue
+                await happens_within(self._wake, _POLL_S)
         finally:
             for task in self._busy.values():
                 task.cancel()
