@@ -272,7 +272,7 @@ def _bind(server: grpc.aio.Server, settings: EdgeSettings, security: ServerSecur
 def _announce(settings: EdgeSettings, port: int) -> None:
     _log.info("settings: %s", json.dumps(settings.describe()))
     _log.info("listening on %s", settings.host if settings.is_socket else f"{settings.host}:{port}")
-    if settings.open and not settings.is_local and not settings.token.get_secret_value():
+    if settings.takes_strangers:
         _log.warning("EDGE_OPEN: everybody who reaches %s may run jobs, in the name of any tenant", settings.host)
 
 

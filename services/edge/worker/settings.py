@@ -84,6 +84,11 @@ class EdgeSettings(StrictSettings):
         return self.is_socket or self.host in LOOPBACK
 
     @property
+    def takes_strangers(self) -> bool:
+        """Whether others than this machine's users reach the worker, and need no token."""
+        return not self.is_local and not self.token.get_secret_value()
+
+    @property
     def metrics_host(self) -> str:
         """Address of GET /metrics."""
         return "127.0.0.1" if self.is_socket else self.host
@@ -97,7 +102,7 @@ def server_security(settings: EdgeSettings) -> ServerSecurity:
 
 def refuse_without_token(settings: EdgeSettings) -> None:
     """Raises SettingsError where others reach the worker without a token, unless the settings want it so."""
-    if settings.is_local or settings.open or settings.token.get_secret_value():
+    if settings.open or not settings.takes_strangers:
         return
     why = "everybody who reaches this address could run jobs, in the name of any tenant"
     then = "set EDGE_TOKEN with EDGE_TLS_CERT and EDGE_TLS_KEY, or EDGE_OPEN=true where only gateways reach it"

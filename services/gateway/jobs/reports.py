@@ -9,8 +9,10 @@ CANCELLED = "CANCELLED"
 """Error code of a run that was cancelled."""
 
 DRAINING = "WORKER_DRAINING"
-JOB_YIELDED = "JOB_YIELDED"
 """Error code of a run that its worker returned because the worker is shutting down."""
+
+JOB_YIELDED = "JOB_YIELDED"
+"""Error code of a run that made room for other jobs, and goes on from its checkpoint."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 import psutil
 
+from capture2vr.cli.up import free_port
 from tests.bench.load.attack_files import cloud
 from tests.bench.load.product import PeakMemory, peak_mb, processor_seconds
 from tests.support.repository import ROOT
@@ -62,7 +63,7 @@ class Product:
         self.checkout, self.data = checkout, data
         self.package = "capture2vr" if (checkout / "capture2vr").exists() else "services"
         self.environment = {**environment, "PYTHONPATH": str(checkout)}
-        self.port = _free_port()
+        self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self._process = self._start()
         self.secrets = secrets or {name: self.key(name, *scopes) for name, scopes in _KEYS.items()}
@@ -225,11 +226,3 @@ def main(arguments: list[str]) -> None:
         told = (f"{found.seconds:.1f}", f"{found.mb:.0f}", f"{found.worker_mb:.0f}", f"{found.waited_s:.1f}")
         cells = (attack.name, found.answers, "; ".join(filter(None, (found.fault, found.over))) or "yes", *told)
         print(f"| {' | '.join(cells)} |", flush=True)
-
-
-def _free_port() -> int:
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
