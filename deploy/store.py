@@ -26,8 +26,12 @@ COMMAND = (
     *("-s3.autoCreateBucket=false", "-s3.allowedOrigins=http://nobody.example"),
 )
 
-# Every quarter of an hour: parts of uploads that were cut off, which no listing shows.
-CLEANING = {"WEED_MASTER_MAINTENANCE_SCRIPTS": "s3.clean.uploads -timeAgo=24h"}
+MASTER = {
+    # Every quarter of an hour: parts of uploads that were cut off, which no listing shows.
+    "WEED_MASTER_MAINTENANCE_SCRIPTS": "s3.clean.uploads -timeAgo=24h",
+    # A bucket gets one volume at a time, in place of seven: on a disk with room for six, the second got none.
+    "WEED_MASTER_VOLUME_GROWTH_COPY_1": "1",
+}
 
 
 def secret() -> str:
@@ -54,4 +58,4 @@ def certificate() -> dict[str, str]:
 if __name__ == "__main__":
     os.umask(0o077)
     write_users()
-    os.execvpe(COMMAND[0], [*COMMAND, *sys.argv[1:]], os.environ | CLEANING | certificate())  # noqa: S606
+    os.execvpe(COMMAND[0], [*COMMAND, *sys.argv[1:]], os.environ | MASTER | certificate())  # noqa: S606

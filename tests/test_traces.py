@@ -21,6 +21,7 @@ from tests.support.in_process_gateway import ended, start, until
 from tests.support.patience import PATIENCE_S
 from tests.support.photos.private_pictures import jpeg
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
+from tests.support.workers.inspecting_worker import inspecting_worker
 from tests.support.workers.trace_collector import TraceCollector, collecting
 
 pytest.importorskip("opentelemetry.sdk")
@@ -37,10 +38,10 @@ async def test_a_capture_has_one_trace_from_upload_to_publishing(
     tmp_path: Path, collector: TraceCollector, unused_tcp_port: int
 ) -> None:
     sends = collector.variables
-    options = {"workers": f"127.0.0.1:{unused_tcp_port}", "GATEWAY_PRESETS": "draft,fine", **sends}
+    workers = f"{inspecting_worker()},127.0.0.1:{unused_tcp_port}"  # the scripted one inspects no photos
+    options = {"workers": workers, "GATEWAY_PRESETS": "draft,fine", **sends}
     with running(tmp_path, **options) as gateway, ExitStack() as stack:
         async with httpx.AsyncClient(base_url=gateway.url, timeout=PATIENCE_S) as client:
-            # Without a worker: the scripted one inspects no photos.
             files = [("files", (f"{number}.jpg", jpeg())) for number in range(3)]
             answer = await client.post("/v1/captures", files=files)
             assert answer.status_code == 201, answer.text

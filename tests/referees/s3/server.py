@@ -71,7 +71,9 @@ def free_ports() -> list[int]:
 
 
 @contextmanager
-def process(program: Path, folder: Path, ports: list[int], **variables: str) -> Iterator[subprocess.Popen[bytes]]:
+def process(
+    program: Path, folder: Path, ports: list[int], *options: str, **variables: str
+) -> Iterator[subprocess.Popen[bytes]]:
     """The server's process. Its data are deleted next, so it is killed: told to end, it would take two seconds."""
     listeners = [f"-{part}.port={port}" for part, port in zip(_PARTS, ports, strict=True)]
     command = [
@@ -79,7 +81,9 @@ def process(program: Path, folder: Path, ports: list[int], **variables: str) -> 
         ROOT / "deploy" / "store.py",
         f"-dir={folder / 'data'}",
         "-s3.ip.bind=127.0.0.1",
+        "-master.volumeSizeLimitMB=16",  # each test has a bucket, each bucket a volume: any disk has room for all
         *listeners,
+        *options,
     ]
     path = os.pathsep.join([str(program.parent), os.environ["PATH"]])
     environment = {**os.environ, "PATH": path, "TMPDIR": str(folder), **variables}

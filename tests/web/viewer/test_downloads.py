@@ -17,11 +17,12 @@ from capture2vr.cli.up import Stack
 from capture2vr.edge.arrays import Floats
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.catalogue.signing import NO_KEYS
 from capture2vr.storage.local import LocalStore
 from tests.support.pages import await_data, open_panel
 from tests.support.patience import HANG_S
 from tests.support.screenshots import await_frames, difference, drawn, stage
-from tests.support.sites import Site
+from tests.support.sites import Site, gateway_at
 
 pytestmark = pytest.mark.browser
 
@@ -55,22 +56,24 @@ def test_a_file_is_made_and_saved_by_keyboard(page: Page, stack: Stack, bundle: 
     expect(page.locator("#downloads-said")).to_have_text("bowl.stl is being saved.")
 
 
-def test_what_cannot_be_made_now_is_said(page: Page, site: Site, bundle: Bundle) -> None:
-    publish(bundle, site.store, key="bowl")
-    page.goto(f"{site.url}/view/bowl")
-    await_data(page, loaded="2 1 0")
-    open_panel(page, "Download")
-    await_data(page, downloads="10")
-    panel, shown = page.locator("#downloads").bounding_box(), page.viewport_size
-    assert panel is not None
-    assert shown is not None
-    assert panel["y"] >= 0
-    assert panel["y"] + panel["height"] <= shown["height"], "all of it can be scrolled to"
-    page.get_by_role("button", name="GLB", exact=True).click()
-    expect(page.locator("#downloads-trouble")).to_have_text(
-        "No worker is there to make the file. Try again in a moment."
-    )
-    expect(page.get_by_role("button", name="GLB", exact=True)).to_be_enabled()
+def test_what_cannot_be_made_now_is_said(page: Page, bundle: Bundle, tmp_path: Path) -> None:
+    store = LocalStore(tmp_path / "store")
+    publish(bundle, store, key="bowl")
+    with gateway_at(tmp_path, store, NO_KEYS, "127.0.0.1:9") as url:
+        page.goto(f"{url}/view/bowl")
+        await_data(page, loaded="2 1 0")
+        open_panel(page, "Download")
+        await_data(page, downloads="10")
+        panel, shown = page.locator("#downloads").bounding_box(), page.viewport_size
+        assert panel is not None
+        assert shown is not None
+        assert panel["y"] >= 0
+        assert panel["y"] + panel["height"] <= shown["height"], "all of it can be scrolled to"
+        page.get_by_role("button", name="GLB", exact=True).click()
+        expect(page.locator("#downloads-trouble")).to_have_text(
+            "No worker is there to make the file. Try again in a moment."
+        )
+        expect(page.get_by_role("button", name="GLB", exact=True)).to_be_enabled()
 
 
 def test_a_list_that_does_not_come_is_asked_for_at_the_next_opening(page: Page, site: Site, bundle: Bundle) -> None:
