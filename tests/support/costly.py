@@ -91,14 +91,13 @@ def views(count: int) -> Files:
     return _glb(tree | {"meshes": [{"primitives": parts}]}, bytes(10**6))
 
 
-def textures(count: int) -> Files:
-    """Many pictures of 16 megapixels that share 50 KB, each with a byte more behind its end."""
-    picture = _flat_png(4000)
+def textures(count: int, picture: bytes, *, one_view: bool = False) -> Files:
+    """Many textures of one PNG's bytes: each of a byte more behind its end, or all of one view."""
     tree = _tree(buffers=[{"byteLength": len(_TRIANGLE) + len(picture) + count}])
     first = len(tree["bufferViews"])
     place = {"buffer": 0, "byteOffset": len(_TRIANGLE)}
-    tree["bufferViews"] += [{**place, "byteLength": len(picture) + at} for at in range(count)]
-    tree["images"] = [{"bufferView": first + at, "mimeType": "image/png"} for at in range(count)]
+    tree["bufferViews"] += [{**place, "byteLength": len(picture) + at} for at in range(1 if one_view else count)]
+    tree["images"] = [{"bufferView": first + (0 if one_view else at), "mimeType": "image/png"} for at in range(count)]
     tree["textures"] = [{"source": at} for at in range(count)]
     tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": at}}} for at in range(count)]
     tree["meshes"] = [{"primitives": [{**_PRIMITIVE, "material": at} for at in range(count)]}]
@@ -139,7 +138,7 @@ REFUSED: dict[str, tuple[Callable[[], Files], str]] = {
     "a GLB with many edges between nodes": (lambda: edges(150), "a.glb"),
     "a GLB of nested nodes": (lambda: nested(300), "a.glb"),
     "a GLB of views of the same bytes": (lambda: views(100), "a.glb"),
-    "a GLB whose textures share their bytes": (lambda: textures(100), "a.glb"),
+    "a GLB whose textures share their bytes": (lambda: textures(100, _flat_png(4000)), "a.glb"),
     **{f"a GLB of many {name}": (partial(_many, name, count), "a.glb") for name, count in _TABLES.items()},
     "an OBJ of many material libraries": (
         lambda: {"a.obj": _OBJ + b"".join(b"mtllib %d.mtl\n" % number for number in range(101))},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import socket
 import time
@@ -22,10 +21,9 @@ _MOST_LINE_BYTES = 64 << 20  # of a message: a process that a capture has taken 
 class ForkedTalk:
     """The worker's end of the socket to a process."""
 
-    def __init__(self, channel: socket.socket, leash: int, tick: Tick, within_s: float) -> None:
+    def __init__(self, channel: socket.socket, leash: int, tick: Tick) -> None:
         self._channel, self._tick = channel, tick
         self._leash: int | None = leash
-        self._deadline = time.monotonic() + within_s
         self._ticked = 0.0
         self._read = bytearray()
         channel.settimeout(_POLL_S)
@@ -54,7 +52,7 @@ class ForkedTalk:
     def end(self) -> None:
         """Kill the process, and wait until it has ended: its folder may be removed then."""
         self.kill()
-        self._tick, self._deadline = no_tick, math.inf
+        self._tick = no_tick
         while self._line() is not None:
             pass
 
@@ -64,10 +62,9 @@ class ForkedTalk:
             if (now := time.monotonic()) - self._ticked >= _POLL_S:  # also while a process talks without a pause
                 self._ticked = now
                 self._tick(0.5)  # how far it is nobody knows
-            if now > self._deadline or len(self._read) > _MOST_LINE_BYTES:
+            if len(self._read) > _MOST_LINE_BYTES:
                 self.kill()
                 self._read.clear()
-                self._deadline = math.inf
             try:
                 block = self._channel.recv(1 << 16)
             except TimeoutError:
@@ -83,17 +80,14 @@ class ForkedTalk:
 
 
 @contextmanager
-def talking(
-    server: ForkServer, order: Mapping[str, Any], tick: Tick, *, within_s: float = math.inf
-) -> Iterator[ForkedTalk]:
+def talking(server: ForkServer, order: Mapping[str, Any], tick: Tick) -> Iterator[ForkedTalk]:
     """Start a process with an order for the block, at whose end it is killed, and has ended.
 
-    tick      called often; what it raises ends the block
-    within_s  seconds from which on the process is killed
+    `tick` is called often; what it raises ends the block.
     """
     forked = server.fork()
     with forked.channel as channel:
-        talk = ForkedTalk(channel, forked.leash, tick, within_s)
+        talk = ForkedTalk(channel, forked.leash, tick)
         try:
             talk.send(order)
             yield talk

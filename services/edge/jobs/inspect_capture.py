@@ -18,8 +18,6 @@ from capture2vr.process.fork_client import ForkServer
 ANSWER = "inspection.pb"
 """File that the process writes: a serialised `Inspection`."""
 
-_WITHIN_S = 400.0  # of the clock, on a machine that does other work too: reading 2 GB may take 220 s of a processor
-
 
 class Inspector:
     """Inspects archives, each in a process of its own, without this worker's settings and secrets."""
@@ -42,7 +40,7 @@ class Inspector:
         crashes. Faults of the capture are in the answer, as its `failure`.
         """
         order = {"archive": str(archive.resolve()), "scratch": str(scratch.resolve()), "box": box and box.as_json}
-        with talking(self._server, order, tick, within_s=_WITHIN_S) as talk:
+        with talking(self._server, order, tick) as talk:
             said = dict(talk.messages())
         if "failed" in said:
             raise RuntimeError(f"an inspection failed: {said['failed']}")

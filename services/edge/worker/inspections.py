@@ -26,7 +26,8 @@ AT_ONCE = 4
 try again."""
 
 WITHIN_S = 400.0
-"""Timeout of reading a capture, in seconds of the clock: far more than the processor time that it may take."""
+"""Timeout of reading a capture, in seconds of the clock: far more than the 220 s of a processor that it may take on a
+machine that does other work too."""
 
 
 class Inspections:

@@ -7,13 +7,10 @@ import struct
 import zipfile
 import zlib
 from functools import cache
-from typing import Any
 
 import laspy
 import numpy as np
 from PIL import Image
-
-from tests.support.captures import glb_of
 
 _SIDE = 8_000  # pixels: 64 million in a picture
 
@@ -58,50 +55,6 @@ def tiff_of_shared_strips(side: int = 10_000, rows: int = 100) -> bytes:
     arrays = struct.pack(f"<{count}I", *[8] * count) + struct.pack(f"<{count}I", *[len(strip)] * count)
     directory = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(4)
     return struct.pack("<2sHI", b"II", 42, 8 + len(strip) + len(arrays)) + strip + arrays + directory
-
-
-def glb_of_textures(count: int = 200) -> bytes:
-    """A GLB of so many textures, each of 64 megapixels, in some hundred kilobytes."""
-    materials = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": number}}} for number in range(count)]
-    return _glb(
-        plain_png(channels=1),
-        [{**_TRIANGLE, "material": number} for number in range(count)],
-        images=[{"bufferView": 3, "mimeType": "image/png"}] * count,
-        textures=[{"source": number} for number in range(count)],
-        materials=materials,
-    )
-
-
-def glb_of_primitives(count: int = 100_000) -> bytes:
-    """A GLB of so many primitives, which are all the same triangle."""
-    return _glb(b"", [_TRIANGLE] * count)
-
-
-_TRIANGLE = {"attributes": {"POSITION": 0, "TEXCOORD_0": 2}, "indices": 1}
-
-
-def _glb(picture: bytes, primitives: list[dict[str, Any]], **tables: list[dict[str, Any]]) -> bytes:
-    """A GLB of one mesh of these primitives, with further tables; its fourth buffer view is the picture."""
-    corners, faces = np.eye(3, dtype="<f4").tobytes(), np.arange(3, dtype="<u2").tobytes() + bytes(2)
-    parts = (corners, faces, np.eye(3, 2, dtype="<f4").tobytes(), picture)
-    starts = [sum(map(len, parts[:place])) for place in range(len(parts))]
-    views = [{"buffer": 0, "byteOffset": at, "byteLength": len(part)} for at, part in zip(starts, parts, strict=True)]
-    tree = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "buffers": [{"byteLength": sum(map(len, parts))}],
-        "bufferViews": views if picture else views[:3],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 1]},
-            {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
-            {"bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC2"},
-        ],
-        "meshes": [{"primitives": primitives}],
-        **tables,
-    }
-    return glb_of(tree, b"".join(parts))
 
 
 def obj_of_libraries(size: int = 594_000) -> dict[str, bytes]:

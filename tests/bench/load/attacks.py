@@ -21,6 +21,7 @@ import httpx
 
 from tests.bench.load import attack_files as files
 from tests.bench.load.attack import HANG_S, Product, processor_seconds, said, send
+from tests.support import costly
 
 Verdict = tuple[str, str]
 """What the product answered, and what of it is not as it should be, or ""."""
@@ -93,6 +94,10 @@ def _of_zip(content: Callable[[], Mapping[str, bytes]], times: int = 1) -> Calla
 
 def _album() -> bytes:
     return files.zipped({f"{number}.png": files.plain_png() for number in range(60)}, zipfile.ZIP_STORED)
+
+
+def _textures() -> costly.Files:
+    return costly.textures(200, files.plain_png(channels=1), one_view=True)
 
 
 def _tiffs() -> dict[str, bytes]:
@@ -385,8 +390,8 @@ ATTACKS = (
         "a face of five million corners", _of("a.ply", partial(files.ply_of_one_face, 5_100_000), 2, _LARGE), cheap=True
     ),
     Attack("a line of four million numbers", _of("a.xyz", files.long_line, 2, "CAPTURE_UNREADABLE"), cheap=True),
-    Attack("a GLB of 200 textures of 64 megapixels", _of("a.glb", files.glb_of_textures), most_s=30.0),
-    Attack("a GLB of 100,000 primitives", _of("a.glb", files.glb_of_primitives), most_s=30.0),
+    Attack("a GLB of 200 textures of 64 megapixels", _of_zip(_textures), most_s=30.0),
+    Attack("a GLB of 100,000 primitives", _of_zip(partial(costly.primitives, 100_000)), most_s=30.0),
     Attack("eight TIFFs of 100 megapixels that share their strips", _of_zip(_tiffs)),
     Attack("ten uploads of 60 pictures of 64 megapixels", _of("a.zip", _album, 10), most_s=2_000.0, most_waited_s=3.0),
     Attack(
