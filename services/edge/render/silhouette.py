@@ -14,6 +14,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.render.object_colours import SURE, ObjectColours
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import Hits, RaycastingScene, pinhole
 from capture2vr.edge.render.sample_image import pixels_at, resize_mask, shrink_to
@@ -102,7 +103,20 @@ def outline_thing(
     places = picture.eye + view.own.reshape(-1, 1) * view.rays
     aside = (view.own > 0) & ~view.whole & (scene.longest > 0)
     aside[aside] = _far_from(places[aside.ravel()], mesh, _ASIDE * scene.longest)
-    return _cut_out(view, view.past | aside, _core(view, certain), rounds)
+    return _cut_out(view, view.past | aside | _seen_through(view), _core(view, certain), rounds)
+
+
+def _seen_through(view: MeshInPhoto) -> Bools:
+    """Pixels (h,w) in the silhouette's gaps that have the background's colours, where the mesh has others.
+
+    GrabCut takes them for the thing's, such as a dark wall between light stems, because it begins with them among it.
+    """
+    row, column = np.nonzero(view.found)
+    places = (np.stack([column, row], axis=1) + 0.5) / view.found.shape[::-1]
+    colours = ObjectColours.learn([view.rgb], [places])
+    if colours is None:
+        return np.zeros_like(view.found)
+    return view.whole & ~view.found & (colours.evidence(view.rgb) < -SURE)
 
 
 def outside_outlines(mesh: Mesh, pictures: Sequence[PosedPicture]) -> Bools:

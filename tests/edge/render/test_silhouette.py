@@ -7,11 +7,13 @@ from functools import partial
 
 import numpy as np
 import pytest
+import trimesh
 
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.rays import RaycastingScene
-from capture2vr.edge.render.silhouette import cast_pixels, outside_outlines
+from capture2vr.edge.render.silhouette import cast_pixels, outline_thing, outside_outlines, see_mesh
 from tests.support import surfaces
+from tests.support.photos import posed_pictures
 from tests.support.photos.posed_pictures import photographs, printed, silhouette
 
 RIM = 0.03  # width: four pixels of the photos
@@ -51,6 +53,22 @@ def test_masks_tell_a_rim_that_looks_like_the_thing() -> None:
 
 def test_a_thing_without_rims_keeps_everything() -> None:
     assert not outside_outlines(THING, photographs(THING, EYES)).any()
+
+
+def test_a_dark_wall_between_bars_is_not_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(posed_pictures, "_WALL", (20.0, 15.0, 10.0))
+    ends = [[[x, 0, -0.45], [x, 0, 0.45]] for x in (-0.09, -0.03, 0.03, 0.09)]
+    ends += [[[-0.09, 0, z], [0.09, 0, z]] for z in (-0.45, -0.15, 0.15, 0.45)]
+    bars = trimesh.util.concatenate([trimesh.creation.cylinder(0.012, segment=each, sections=12) for each in ends])
+    mesh = Mesh(np.asarray(bars.vertices), np.asarray(bars.faces))
+    (photo,) = photographs(mesh, [(0, -1.5, 0.1)], depth=False)
+    scene = RaycastingScene(mesh)
+    view = see_mesh(photo, scene)
+    assert view is not None
+    thing, gaps = outline_thing(view, photo, mesh, scene), view.whole & ~view.found
+    assert gaps.sum() > view.found.sum() / 2
+    assert thing[gaps].mean() < 0.1, "GrabCut alone takes seven tenths"
+    assert thing[view.found].mean() > 0.97
 
 
 @pytest.mark.parametrize(

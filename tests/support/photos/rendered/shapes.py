@@ -14,7 +14,7 @@ import trimesh
 from scipy.interpolate import PchipInterpolator
 
 from capture2vr.cli.demonstration.demo_garment import garment
-from capture2vr.edge.arrays import Floats
+from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.mesh.concatenate import concatenate
 from capture2vr.edge.mesh.edges import border_loops
 from capture2vr.edge.mesh.nouns import Mesh
@@ -24,6 +24,7 @@ from tests.support.surfaces import grid
 SIZE_M = 0.3
 _AROUND = 240  # corners of a ring
 _STRANDS, _STRAND_M, _STRAND_WIDE_M = 30_000, 0.02, 0.0012
+_SOIL_M, _POD_M = 0.055, np.array([0.0045, 0.0045, 0.011])  # its height, and the radii of a pod
 _STEMS, _STEM_M = 9, (0.0012, 0.0007)  # radius at the bottom and at the top: 3 to 1.5 pixels of a photo are their width
 _RIBS, _BANDS, _STRIP_M = 26, 8, 0.011
 
@@ -92,8 +93,8 @@ def apple() -> Shape:
 def stems() -> Shape:
     """A pot from which thin stems with pods rise."""
     rng = np.random.default_rng(3)
-    pot = _turned([(0, 0), (0.032, 0), (0.042, 0.06), (0.038, 0.06), (0.036, 0.055), (0, 0.055)], rounded=False)
-    parts, axes = [pot], []
+    pot = _turned([(0, 0), (0.032, 0), (0.042, 0.06), (0.038, 0.06), (0.036, _SOIL_M), (0, _SOIL_M)], rounded=False)
+    parts, axes, pods = [pot], [], []
     for number in range(_STEMS):
         turn, reach, high = 2 * np.pi * number / _STEMS + rng.normal(0, 0.2), *rng.uniform([0.03, 0.2], [0.13, 0.3])
         v = np.linspace(0, 1, 40)
@@ -107,8 +108,15 @@ def stems() -> Shape:
         for place in (axis[24], axis[32], axis[-1]):
             pod = trimesh.creation.icosphere(subdivisions=3)
             turned = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
-            parts.append(Mesh(pod.vertices * [0.0045, 0.0045, 0.011] @ turned.T + place, np.asarray(pod.faces)))
-    return _sized(Shape(concatenate(parts), axes=tuple(axes)))
+            parts.append(Mesh(pod.vertices * _POD_M @ turned.T + place, np.asarray(pod.faces)))
+            pods.append((turned, place))
+
+    def is_seen(places: Floats) -> Bools:
+        """(N,) which places (N,3) are in no pod and not in the pot: a seventh of the stems' length is."""
+        away = [np.linalg.norm((places - place) @ turned / _POD_M, axis=1) for turned, place in pods]
+        return (np.min(away, axis=0) > 1) & (places[:, 2] > _SOIL_M)
+
+    return _sized(Shape(concatenate(parts), axes=tuple(axis[is_seen(axis[:, :3])] for axis in axes)))
 
 
 def basket() -> Shape:
