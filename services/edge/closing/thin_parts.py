@@ -22,7 +22,7 @@ import numpy as np
 from scipy.ndimage import label, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
 from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.points.plane import Plane
 from capture2vr.edge.points.voxel_grid import cell_keys, key_cells, voxel_keys
@@ -45,6 +45,9 @@ _WIDEST = 6
 _IN_LINE = ((32, 0.6), (128, 0.75))
 """Cells around one, and how much of their first variance the second one may be: in a line it is less, in a sheet the
 same, and in a bunch of lines it is less the fewer cells are asked."""
+_AWAY = 4
+"""Cells of four fine ones a side between the wide parts and the end of a thin one, at least: the outermost layer of a
+hull is up to two thick."""
 _LEAST = 10
 """Cells in a part: less is chance."""
 _REACH = 3.0
@@ -152,15 +155,18 @@ class _Hull:
         hull = np.zeros(_COARSE // 2 * self.counts, bool)
         index: Ints = np.argwhere(np.ones(self.counts, bool))
         for size in (_COARSE, _COARSE // 2):
+            index = index if size == _COARSE else _halved(index)
             index = index[self._holds((index + 0.5) * size, _reach(size))]
             inside = self._holds((index + 0.5) * size, -_reach(size))  # such a cell is wider than what is thin
             for corner in product(range(size // 2), repeat=3):
                 hull[tuple((size // 2 * index[inside] + corner).T)] = True
-            index = _halved(index[~inside])
+            index = index[~inside]
+        ends = _ends(index, hull[::2, ::2, ::2])
+        index = _halved(index[_near(ends, index, 2 * _AWAY)])
         index = index[self._holds(2.0 * index + 1, _reach(2))]
         hull[tuple(index[self._holds(2.0 * index + 1, 0)].T)] = True
         bulk = _Bulk(_wide(hull))
-        middle = _halved(index[~bulk.holds(2.0 * index + 1)]) + 0.5
+        middle = _halved(index[_near(ends, index // 2, _AWAY) & ~bulk.holds(2.0 * index + 1)]) + 0.5
         return middle[self._holds(middle, 0)], bulk
 
     def surface(self, cells: Floats) -> Floats:
@@ -224,6 +230,21 @@ def _halved(index: Ints) -> Ints:
     corners = np.array(list(product((0, 1), repeat=3)))
     halves: Ints = (2 * index[:, None] + corners).reshape(-1, 3)
     return halves
+
+
+def _ends(index: Ints, inside: Bools) -> Bytes:
+    """Mask (X,Y,Z) of the cells (N,3), of four fine ones a side, that are away from those wholly inside the hull: most
+    things have none, and are done with."""
+    ends = np.zeros(inside.shape, np.uint8)
+    ends[tuple(index.T)] = 1
+    ends[maximum_filter(inside.view(np.uint8), 2 * _AWAY - 1, mode="constant") > 0] = 0
+    return ends
+
+
+def _near(ends: Bytes, index: Ints, reach: int) -> Bools:
+    """(N,) which cells (N,3) have one of the ends so near."""
+    found: Bools = maximum_filter(ends, 2 * reach + 1, mode="constant")[tuple(index.T)] > 0
+    return found
 
 
 def _wide(hull: Bools) -> Bools:
