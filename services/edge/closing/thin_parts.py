@@ -38,6 +38,8 @@ _ONE_OF = 20
 """Of so many photos one may err, of fewer, too."""
 _MOST_CELLS = 448
 """Cells along the object's longest side; photos are shrunk to pixels of that size."""
+_BESIDE_PX = 4
+"""Pixels from what is surely background within which one may be of an outline."""
 _COARSE = 8
 """Cells in the side of the coarsest ones."""
 _WIDEST = 6
@@ -139,7 +141,7 @@ class _Hull:
         cell = float(np.median(cells))
         low, high = xyz.min(axis=0) - _COARSE * cell, xyz.max(axis=0) + _COARSE * cell
         counts = np.ceil((high - low) / (_COARSE * cell)).astype(np.int64)
-        evidence = tuple(map(colours.evidence, photos))
+        evidence = tuple(outlined(colours.evidence(rgb)) for rgb in photos)
         return cls(tuple(pictures), evidence, low, cell, counts, support, max(1, len(pictures) // _ONE_OF))
 
     def cell_of(self, places: Floats) -> Floats:
@@ -218,6 +220,15 @@ class _Hull:
 
         parts = [places[start : start + _CHUNK] for start in range(0, len(places), _CHUNK)]
         return np.concatenate(in_threads(least, parts)) if parts else np.zeros(0, np.float32)
+
+
+def outlined(evidence: Floats) -> Floats:
+    """Return the evidence (h,w) of a photo with that of its outlines alone: what is unsure and not beside background,
+    such as a sticker on a fruit, is the object's."""
+    import cv2
+
+    beside = cv2.dilate((evidence < -SURE).astype(np.uint8), np.ones((2 * _BESIDE_PX + 1,) * 2, np.uint8)) > 0
+    return np.where(beside, evidence, np.float32(MOST))
 
 
 def _reach(size: int) -> int:

@@ -10,9 +10,10 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bytes, Floats
-from capture2vr.edge.closing.thin_parts import ThinParts, find_thin_parts
+from capture2vr.edge.closing.thin_parts import ThinParts, find_thin_parts, outlined
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.points.plane import Plane
+from capture2vr.edge.render.object_colours import MOST
 from capture2vr.edge.render.posed_picture import PosedPicture
 from tests.support.photos.posed_pictures import photographs
 
@@ -100,3 +101,14 @@ def test_of_a_plate_the_rims_alone_are_lines_and_stay_where_they_are() -> None:
 
 def test_few_photos_make_no_hull(photos: list[PosedPicture]) -> None:
     assert found(photos[:7], points_on(BALL, 6_000), points_on(stem(), 60))[0] is None
+
+
+def test_a_sticker_is_no_outline() -> None:
+    evidence = np.full((60, 60), -MOST, np.float32)
+    evidence[10:50, 10:50] = MOST
+    evidence[25:35, 25:35] = -1.0  # of other colours than the object's and the background's
+    evidence[10, 10:50] = 1.0  # an outline's pixels have both colours
+    known = outlined(evidence)
+    assert (known[11:50, 10:50] == MOST).all()
+    assert (known[10, 10:50] == 1.0).all()
+    assert (known[:10] == -MOST).all()
