@@ -22,9 +22,15 @@ class Figures:
         print(f"{time.strftime('%H:%M:%S')}  {what:<58} {figure}", flush=True)
 
     def write(self, page: Path, about: str) -> None:
-        """Put the rows in the place of those of the last run. about: a sentence on the run"""
-        table = "\n".join(["| what | figure |", "|---|---|", *(f"| {what} | {figure} |" for what, figure in self.rows)])
+        """Put the rows in the place of those of the last run, as Prettier has them. about: a sentence on the run"""
+        rows = [("what", "figure"), *self.rows]
+        first, second = (max(map(len, column)) for column in zip(*rows, strict=True))
+        rows.insert(1, ("-" * first, "-" * second))
+        table = "\n".join(f"| {what:<{first}} | {figure:<{second}} |" for what, figure in rows)
         text = re.sub(
-            f"{_BEGIN}.*{_END}", lambda _: f"{_BEGIN}\n{about}\n\n{table}\n{_END}", page.read_text(), flags=re.DOTALL
+            f"{_BEGIN}.*{_END}",
+            lambda _: f"{_BEGIN}\n\n{about}\n\n{table}\n\n{_END}",
+            page.read_text(),
+            flags=re.DOTALL,
         )
         page.write_text(text)
