@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,12 @@ from scipy.spatial import cKDTree
 from capture2vr.edge.arrays import Bytes, Floats, Tick, no_tick, part_of, pick
 from capture2vr.edge.closing.missing_points import infer_missing
 from capture2vr.edge.closing.thin_parts import find_thin_parts
-from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.points.clean_cloud import MIN_POINTS
+from capture2vr.edge.points.nouns import Points, UnitFrame
 from capture2vr.edge.points.plane import Plane
 from capture2vr.edge.points.unit import unit_frame
 from capture2vr.edge.render.place_views import in_unit_frame
+from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.order.option_table import Fill
 
 _THIN = 0.3
@@ -34,16 +37,30 @@ def close_object(points: Points, support: Plane | None, fill: Fill, tick: Tick =
     below = None if support is None else support.moved(-unit.centre).scaled(1 / unit.size)
     pictures = in_unit_frame(points.texture_views, unit)
     thin = find_thin_parts(unit.to_unit(points.xyz), pictures, below)
-    if thin is not None:
-        points = points.subset(~thin.replaced)
     tick(_THIN)
-    missing = infer_missing(unit.to_unit(points.xyz), points.rgb, pictures, below, fill, part_of(tick, _THIN, 1))
-    kept = replace(points.subset(~missing.fringe), closed=missing.closed)
-    if thin is not None:
-        nearest = cKDTree(kept.xyz).query(thin_xyz := unit.to_world(thin.xyz))[1]
-        rgb, confidence = pick(kept.rgb, nearest), kept.confidence[nearest]
-        kept = _with_points(kept, thin_xyz, rgb, confidence)
-    count = len(missing.xyz)
+    if thin is None:
+        return _closed(points, unit, pictures, below, fill, part_of(tick, _THIN, 1))
+    lines = unit.to_world(thin.xyz)
+    rest = points.subset(~thin.replaced)
+    if len(rest) < MIN_POINTS:  # such as a figure of wire
+        rest, coloured = points.subset(np.zeros(len(points), bool)), points
+        tick(1.0)
+    else:
+        rest = _closed(rest, unit, pictures, below, fill, part_of(tick, _THIN, 1))
+        coloured = rest.subset(rest.measured)
+    nearest = cKDTree(coloured.xyz).query(lines)[1]
+    whole = _with_points(rest, lines, pick(coloured.rgb, nearest), coloured.confidence[nearest])
+    if rest.inferred is None:
+        return whole
+    return replace(whole, inferred=np.concatenate([rest.inferred, np.zeros(len(lines), bool)]))
+
+
+def _closed(
+    points: Points, unit: UnitFrame, pictures: Sequence[PosedPicture], below: Plane | None, fill: Fill, tick: Tick
+) -> Points:
+    """Return the points with inferred ones; pictures and the plane below are in the unit frame."""
+    missing = infer_missing(unit.to_unit(points.xyz), points.rgb, pictures, below, fill, tick)
+    kept, count = replace(points.subset(~missing.fringe), closed=missing.closed), len(missing.xyz)
     if not count:
         return kept
     whole = _with_points(kept, unit.to_world(missing.xyz), missing.rgb, np.zeros(count, np.float32))

@@ -10,12 +10,15 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.capture.nouns import Intrinsics
+from capture2vr.edge.closing.close_object import close_object
 from capture2vr.edge.closing.thin_parts import ThinParts, find_thin_parts, outlined
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.points.nouns import Points, TextureView
 from capture2vr.edge.points.plane import Plane
 from capture2vr.edge.render.object_colours import MOST
 from capture2vr.edge.render.posed_picture import PosedPicture
-from tests.support.photos.posed_pictures import photographs
+from tests.support.photos.posed_pictures import SIDE, photographs
 
 AROUND = [(1.3 * np.cos(turn), 1.3 * np.sin(turn), 0.9) for turn in np.radians(np.arange(0, 360, 30))]
 FOOT, TOP, RADIUS = np.array([0.0, 0.0, -0.1]), np.array([0.25, 0.1, 0.5]), 0.014  # of a stem: 3.5 pixels wide
@@ -112,3 +115,29 @@ def test_a_sticker_is_no_outline() -> None:
     assert (known[11:50, 10:50] == MOST).all()
     assert (known[10, 10:50] == 1.0).all()
     assert (known[:10] == -MOST).all()
+
+
+def test_of_a_figure_of_wire_alone_its_lines_are_left() -> None:
+    ring = trimesh.creation.torus(0.3, RADIUS, major_sections=96, minor_sections=12)
+    ring.apply_transform(trimesh.transformations.rotation_matrix(1.2, (1, 0.3, 0)))
+    views = tuple(as_view(each) for each in taken(ring))
+    xyz = np.concatenate([points_on(ring, 3_000), points_on(trimesh.creation.icosphere(2, 0.25), 300)])
+    points = Points(
+        xyz=xyz,
+        rgb=np.full((len(xyz), 3), 99, np.uint8),
+        confidence=np.ones(len(xyz), np.float32),
+        metres_per_unit=1.0,
+        scale_confidence="unknown",
+        up=None,
+        texture_views=views,
+    )
+    made = close_object(points, None, "unseen")
+    assert len(made.xyz) == len(made.confidence) == len(made.rgb) > 1_000  # type: ignore[arg-type]
+    assert cKDTree(points_on(ring, 50_000)).query(made.xyz)[0].max() < RADIUS
+    assert made.inferred is None
+
+
+def as_view(photo: PosedPicture) -> TextureView:
+    assert photo.load_depth is not None
+    camera = Intrinsics(SIDE, SIDE, SIDE / 2 - 0.5, SIDE / 2 - 0.5, SIDE, SIDE)
+    return TextureView(camera, np.linalg.inv(photo.to_camera), photo.load_rgb, photo.load_depth, photo.name)
