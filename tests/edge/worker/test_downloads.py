@@ -72,19 +72,37 @@ async def test_a_file_is_made_and_told(client: Client, work: Making, scratch: Pa
     assert leftovers(scratch) == []
 
 
-async def test_two_who_want_the_same_get_the_same(client: Client, work: Making) -> None:
+@pytest.fixture
+def arrived(monkeypatch: pytest.MonkeyPatch) -> list[pb.DownloadRequest]:
+    """The requests that the worker has read: one that comes after the file is made would have it made again."""
+    read: list[pb.DownloadRequest] = []
+    check = module._checked
+
+    def counted(request: pb.DownloadRequest) -> tuple[str, DownloadOrder]:
+        read.append(request)
+        return check(request)
+
+    monkeypatch.setattr(module, "_checked", counted)
+    return read
+
+
+async def test_two_who_want_the_same_get_the_same(
+    client: Client, work: Making, arrived: list[pb.DownloadRequest]
+) -> None:
     calls = [client.stub.MakeDownload(request()) for _ in range(5)]
     other = client.stub.MakeDownload(request(tenant="ada"))
-    await until(lambda: len(work.made) == 2)
+    await until(lambda: len(arrived) == 6)
     work.go.set()
     assert len({answer.name for answer in await asyncio.gather(*calls)}) == 1
     await other
     assert len(work.made) == 2, "another tenant's asset of this key is another one"
 
 
-async def test_a_caller_who_leaves_does_not_stop_it(client: Client, work: Making) -> None:
+async def test_a_caller_who_leaves_does_not_stop_it(
+    client: Client, work: Making, arrived: list[pb.DownloadRequest]
+) -> None:
     leaving, staying = client.stub.MakeDownload(request()), client.stub.MakeDownload(request())
-    await until(lambda: len(work.made) == 1)
+    await until(lambda: len(arrived) == 2)
     leaving.cancel()
     work.go.set()
     assert (await staying).bytes == 7
