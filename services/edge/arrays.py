@@ -6,7 +6,7 @@ Frames: *capture* is the frame and units of the files; *unit* has the bounding b
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,6 +18,7 @@ Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 
 Picked = TypeVar("Picked", bound=np.generic)
+Item = TypeVar("Item")
 
 DistanceFn = Callable[[Floats], tuple[Floats, Floats]]
 """(N,3) queries in the unit frame -> unsigned distance (N,), gradient (N,3)."""
@@ -34,6 +35,11 @@ def no_tick(fraction: float) -> None:
 def part_of(tick: Tick, start: float, end: float) -> Tick:
     """Return a tick for one part of the work: it maps that part's fraction to the range from `start` to `end`."""
     return lambda fraction: tick(start + (end - start) * fraction)
+
+
+def evenly(items: Sequence[Item], most: int) -> Sequence[Item]:
+    """Choose at most so many items, the first and then every second, third or so."""
+    return items[:: max(1, -(-len(items) // most))]
 
 
 def pick(rows: NDArray[Picked] | None, which: Bools | Ints) -> NDArray[Picked] | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools, Floats
+from capture2vr.edge.arrays import Bools, Floats, evenly
 from capture2vr.edge.mesh.clean import SPECK
 from capture2vr.edge.mesh.fill_gaps import FilledMesh, fill_gaps
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
@@ -101,7 +101,7 @@ def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) 
     apart = _degrees_apart(np.array([each.eye for each in (*seen_by, *held_out)]), mesh_unit)
     if held_out:
         return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)), scene=scene, apart=apart)
-    few = seen_by[:: max(1, -(-len(seen_by) // _MOST_OWN))]
+    few = evenly(seen_by, _MOST_OWN)
     return PhotoCheck(own=tuple(check_surface(mesh_unit, few, seen_by)), scene=scene, apart=apart)
 
 
@@ -124,8 +124,7 @@ def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> M
     if points.closed and points.inferred is not None:
         return mesh_unit
     untracked = [view for view in points.texture_views if not view.tracked]
-    step = max(1, -(-len(untracked) // _MOST_OUTLINES))
-    outside = outside_outlines(mesh_unit, in_unit_frame(untracked[::step], unit))
+    outside = outside_outlines(mesh_unit, in_unit_frame(evenly(untracked, _MOST_OUTLINES), unit))
     # Outlines were asked when points were inferred: a surface that these close has no rims.
     if points.inferred is not None and outside.any():
         outside[outside] = ~_near_inferred(mesh_unit.vertices[outside], points, unit)

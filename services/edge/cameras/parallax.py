@@ -11,7 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from capture2vr.edge.arrays import Floats
+from capture2vr.edge.arrays import Floats, evenly
 from capture2vr.edge.cameras.nouns import Alignment, PhotoView
 from capture2vr.edge.cameras.structure_from_motion import project
 from capture2vr.edge.capture.nouns import WALK_AROUND_ADVICE
@@ -50,7 +50,7 @@ def _homographies(alignment: Alignment) -> list[tuple[Floats, tuple[int, int], b
     count = len(alignment.views)
     pairs = [(first, first + step) for step in _STEPS for first in range(count - step)]
     found = []
-    for first, second in pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]:
+    for first, second in evenly(pairs, _MOST_PAIRS):
         views = alignment.views[first], alignment.views[second]
         common = np.intersect1d(seen[first], seen[second])
         if views[0].photo.size == views[1].photo.size and len(common) >= _FEWEST:

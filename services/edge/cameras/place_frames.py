@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from capture2vr.edge.arrays import Bytes, Floats, Tick, no_tick
+from capture2vr.edge.arrays import Bytes, Floats, Tick, evenly, no_tick
 from capture2vr.edge.cameras.nouns import Alignment, PhotoView
 from capture2vr.edge.cameras.parallax import require_parallax
 from capture2vr.edge.cameras.structure_from_motion import align, project
@@ -48,8 +48,7 @@ def place_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> tuple[tuple[F
     not agree with the pictures; EdgeError ALIGN_FAILED.
     """
     pictured = [frame for frame in frames if frame.load_rgb is not None]
-    step = max(1, -(-len(pictured) // _MOST_FRAMES))
-    by_name = {frame.name: frame for frame in pictured[::step]}
+    by_name = {frame.name: frame for frame in evenly(pictured, _MOST_FRAMES)}
     photos: list[Photo] = []
     damaged: list[CaptureError] = []
     for frame in by_name.values():

@@ -49,10 +49,7 @@ def close_object(points: Points, support: Plane | None, fill: Fill, tick: Tick =
         rest = _closed(rest, unit, pictures, below, fill, part_of(tick, _THIN, 1))
         coloured = rest.subset(rest.measured)
     nearest = cKDTree(coloured.xyz).query(lines)[1]
-    whole = _with_points(rest, lines, pick(coloured.rgb, nearest), coloured.confidence[nearest])
-    if rest.inferred is None:
-        return whole
-    return replace(whole, inferred=np.concatenate([rest.inferred, np.zeros(len(lines), bool)]))
+    return _with_points(rest, lines, pick(coloured.rgb, nearest), coloured.confidence[nearest], inferred=False)
 
 
 def _closed(
@@ -60,18 +57,18 @@ def _closed(
 ) -> Points:
     """Return the points with inferred ones; pictures and the plane below are in the unit frame."""
     missing = infer_missing(unit.to_unit(points.xyz), points.rgb, pictures, below, fill, tick)
-    kept, count = replace(points.subset(~missing.fringe), closed=missing.closed), len(missing.xyz)
-    if not count:
-        return kept
-    whole = _with_points(kept, unit.to_world(missing.xyz), missing.rgb, np.zeros(count, np.float32))
-    return replace(whole, inferred=np.arange(len(whole)) >= len(kept))
+    kept = replace(points.subset(~missing.fringe), closed=missing.closed)
+    none_sure = np.zeros(len(missing.xyz), np.float32)
+    return _with_points(kept, unit.to_world(missing.xyz), missing.rgb, none_sure, inferred=True)
 
 
-def _with_points(points: Points, xyz: Floats, rgb: Bytes | None, confidence: Floats) -> Points:
-    """Return the points with more of them behind these."""
+def _with_points(points: Points, xyz: Floats, rgb: Bytes | None, confidence: Floats, *, inferred: bool) -> Points:
+    """Return the points with more of them behind these, which were measured or inferred."""
+    marks = np.concatenate([~points.measured, np.full(len(xyz), inferred)])
     return replace(
         points,
         xyz=np.concatenate([points.xyz, xyz]),
         rgb=None if points.rgb is None or rgb is None else np.concatenate([points.rgb, rgb]),
         confidence=np.concatenate([points.confidence, confidence]),
+        inferred=marks if marks.any() else None,
     )

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, no_tick, part_of, pick
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, evenly, no_tick, part_of, pick
 from capture2vr.edge.closing.carving import Carving
 from capture2vr.edge.closing.lay_on_points import lay_on_points
 from capture2vr.edge.closing.loose_parts import LooseParts
@@ -77,8 +77,7 @@ def infer_missing(
     """
     none = np.zeros(len(xyz), bool)
     nothing = MissingPoints(xyz[none], pick(rgb, none), none, closed=False)
-    step = max(1, -(-len(pictures) // _MOST_PICTURES))
-    pictures = tuple(each.loaded() for each in pictures[::step])
+    pictures = tuple(each.loaded() for each in evenly(pictures, _MOST_PICTURES))
     tree = cKDTree(xyz)
     points = orient_points(xyz, tree, pictures)
     tick(0.1)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.ndimage import label, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, evenly
 from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.points.plane import Plane
 from capture2vr.edge.points.voxel_grid import cell_keys, key_cells, voxel_keys
@@ -73,7 +73,7 @@ def find_thin_parts(xyz: Floats, pictures: Sequence[PosedPicture], support: Plan
 
     xyz (N,3): of the object alone; pictures that show it, and the plane that it stands on, in the same frame
     """
-    pictures = pictures[:: max(1, -(-len(pictures) // _MOST_PICTURES))]
+    pictures = evenly(pictures, _MOST_PICTURES)
     if len(pictures) < _FEWEST:
         return None
     hull = _Hull.of(xyz, pictures, support)

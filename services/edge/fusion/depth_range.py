@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capture2vr.edge.arrays import evenly
 from capture2vr.edge.capture.nouns import Frame
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.points.depth_limits import DepthLimits, load_depth
@@ -44,7 +45,7 @@ def survey_frames(frames: Sequence[Frame]) -> Survey:
 
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS when they have no depth, or why not one of them can be decoded.
     """
-    chosen = frames[:: max(1, -(-len(frames) // _SURVEY_FRAMES))]
+    chosen = evenly(frames, _SURVEY_FRAMES)
     depths, confidences, pixels = [], [], []
     broken: list[CaptureError] = []
     for frame in chosen:

@@ -50,9 +50,9 @@ class ObjectColours:
         if not on.any() or not off.any():
             return None
         thing, ground = _smooth(on), _smooth(off)
-        mixed = _MARGIN * _background_in(thing, ground)
-        thing = np.maximum(thing - mixed * ground, 0)
-        if mixed > _MARGIN * _MOST_OF_IT or not thing.any():
+        mixed = _background_in(thing, ground)
+        thing = np.maximum(thing - _MARGIN * mixed * ground, 0)
+        if mixed > _MOST_OF_IT or not thing.any():
             return None
         thing /= thing.sum()
         if np.sqrt(thing * ground).sum() > _MOST_ALIKE:

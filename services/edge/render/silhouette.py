@@ -111,12 +111,15 @@ def _seen_through(view: MeshInPhoto) -> Bools:
 
     GrabCut takes them for the thing's, such as a dark wall between light stems, because it begins with them among it.
     """
+    gaps = view.whole & ~view.found
+    if not gaps.any():
+        return gaps
     row, column = np.nonzero(view.found)
     places = (np.stack([column, row], axis=1) + 0.5) / view.found.shape[::-1]
     colours = ObjectColours.learn([view.rgb], [places])
     if colours is None:
-        return np.zeros_like(view.found)
-    return view.whole & ~view.found & (colours.evidence(view.rgb) < -SURE)
+        return np.zeros_like(gaps)
+    return gaps & (colours.evidence(view.rgb) < -SURE)
 
 
 def outside_outlines(mesh: Mesh, pictures: Sequence[PosedPicture]) -> Bools:
