@@ -23,6 +23,7 @@ from capture2vr.edge.mesh.extract import extract
 from capture2vr.edge.mesh.extract_published import extract_published
 from capture2vr.edge.mesh.fill_gaps import FilledMesh
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.pieces import Piece
 from capture2vr.edge.mesh.spacing import auto_resolution
 from capture2vr.edge.preset import Extraction
 from capture2vr.edge.progress import Bar, Clock, Progress
@@ -62,8 +63,7 @@ class AssetMaker:
     def _published(self, distance: DistanceFn, near: Floats, resolution: int) -> MeasuredSurface:
         mesh_unit = extract_published(distance, near, resolution=resolution, tick=self.bar.tick("EXTRACTING"))
         _refuse_empty(mesh_unit, near, resolution)
-        certificate = certify(distance, mesh_unit, self.subject.evidence)
-        return MeasuredSurface(FilledMesh.unfilled(mesh_unit), resolution, certificate)
+        return self._measured(distance, FilledMesh.unfilled(mesh_unit), resolution)
 
     def _cleaned(self, distance: DistanceFn, near: Floats, resolution: int) -> MeasuredSurface:
         subject, tick = self.subject, self.bar.tick("EXTRACTING")
@@ -76,14 +76,15 @@ class AssetMaker:
         mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
         filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
         filled = filled.with_inferred(subject.xyz_unit, subject.points.measured)
-        certificate = certify(distance, filled.mesh, subject.evidence, pieces)
-        return MeasuredSurface(filled, resolution, certificate)
+        return self._measured(distance, filled, resolution, pieces)
 
-    def compare_with_photos(self, surface: MeasuredSurface) -> MeasuredSurface:
-        """Add the comparison with photos, which takes a second: it tells whether a draft is held back."""
-        with self.clock("EXTRACTING"):
-            check = check_surface_with_photos(surface.mesh_unit, self.subject.colours, self.subject.unit)
-            return replace(surface, check=check, certificate=replace(surface.certificate, photos=check.figures))
+    def _measured(
+        self, distance: DistanceFn, filled: FilledMesh, resolution: int, pieces: tuple[Piece, ...] = ()
+    ) -> MeasuredSurface:
+        """Measure a surface, and compare it with photos, which tells whether a draft is held back."""
+        certificate = certify(distance, filled.mesh, self.subject.evidence, pieces)
+        check = check_surface_with_photos(filled.mesh, self.subject.colours, self.subject.unit)
+        return MeasuredSurface(filled, resolution, replace(certificate, photos=check.figures), check)
 
     def levels(
         self, surface: MeasuredSurface, to_asset: Floats | None = None
@@ -100,9 +101,10 @@ class AssetMaker:
         *,
         last: bool,
         warnings: tuple[str, ...] = (),
+        brief: bool = False,
     ) -> Iterator[Progress | Bundle]:
         """Yield the bundle of a surface whose levels of detail are made, as `assemble_bundle`."""
-        edition = Edition(state, quality, last, warnings)
+        edition = Edition(state, quality, last, warnings, brief)
         return assemble_bundle(surface, levels, edition, self.subject, self.clock, self.bar, self.resources)
 
 

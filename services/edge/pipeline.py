@@ -162,12 +162,10 @@ def _preview(maker: AssetMaker, local: LocalFit, *, refines: bool) -> Generator[
     subject, clock = maker.subject, maker.clock
     finest = min(subject.preset.finest, PREVIEW_FINEST) if refines else subject.preset.finest
     surface = yield from maker.surface(local.distance, local.xyz_unit, finest)
-    if subject.colours.texture_views:
-        surface = maker.compare_with_photos(surface)
     quality = surface.quality(subject.preset, clock.seconds)
     levels = yield from maker.levels(surface)
     if refines or subject.colours.texture_views:
-        yield from maker.bundle(surface, levels, "preview", quality, last=False)
+        yield from maker.bundle(surface, levels, "preview", quality, last=False, brief=not refines)
     if not refines:
         maker.bar.set_range(TEXTURED_STARTS, maker.bar.reached, 1.0)
         yield from maker.bundle(surface, levels, "preview", quality, last=True)
@@ -210,7 +208,6 @@ def _refined(
             yield from _last_preview(maker, preview)
         yield PreviewKept(why, None, dict(maker.clock.seconds))
         return
-    made = maker.compare_with_photos(made)
     made = replace(made, steps=trained.steps, losses=trained.losses, device=trained.device)
     verdict = compare(preview.surface.certificate, made.certificate)
     quality = {

@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from shutil import copyfile
@@ -278,7 +279,8 @@ def _figures_of_truth(row: Row, bundle: Bundle, held_out: Sequence[Frame]) -> di
     if row.known and row.known.truth is not None and row.known.intrinsics:
         photos = [posed_picture(texture_view(frame), np.eye(4)) for frame in held_out]
         outline = _Outline(row.known)
-        figures = mean_figures(check_surface(full_mesh(bundle), photos, (), outline))
+        photos = [replace(photo, load_mask=partial(outline, photo)) for photo in photos]
+        figures = mean_figures(check_surface(full_mesh(bundle), photos, ()))
     return {
         "true cover %": percent(figures and figures.cover),
         "true leak %": percent(figures and figures.leak),

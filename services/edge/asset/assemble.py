@@ -43,14 +43,16 @@ class ColouredLevels:
 class Edition:
     """Which of a job's bundles one is, and what its manifest says besides the mesh.
 
-    last  whether it is the job's last one. Textures, animation, USDZ, points, cameras are made only then; they would
-          delay the preview
+    last   whether it is the job's last one. Textures, animation, USDZ, points, cameras are made only then; they would
+           delay the preview
+    brief  whether the next one is to come within seconds: the contact sheet is half as large
     """
 
     state: State
     quality: Mapping[str, Any]
     last: bool
     warnings: tuple[str, ...] = ()
+    brief: bool = False
 
 
 def colour_levels(
@@ -110,7 +112,7 @@ def assemble_bundle(
         tick = bar.tick("PACKING")
         files = {f"lod{level}.glb": pack_glb(asset, subject.target) for level, asset in enumerate(assets)}
         costs = [measure_cost(glb) for glb in files.values()]
-        files |= preview_images(assets, last=last, tick=tick)
+        files |= preview_images(assets, last=last, brief=edition.brief, tick=tick)
         files |= splats
         files["mesh.ply"] = ply_bytes(
             coloured.full, filled=surface.surface.filled_vertices if surface.surface.filled.any() else None

@@ -12,11 +12,12 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats
 from capture2vr.edge.mesh.nouns import Mesh
-from capture2vr.edge.parallel import in_threads
+from capture2vr.edge.parallel import in_threads, slices
+from capture2vr.edge.render.object_colours import ObjectColours
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.render.sample_image import pixels_at
-from capture2vr.edge.render.silhouette import beyond, outline_thing, see_mesh
+from capture2vr.edge.render.silhouette import beyond, colours_of, outline_thing, see_mesh
 
 _BEYOND = 0.02
 """Relative depth by which a photo sees past a place, or something before it."""
@@ -27,6 +28,8 @@ _BESIDE = 0.35
 before the thing; in dark corners a third of the outlines is wrong."""
 _LONGEST_PX = 320
 """Longer side of the pictures in which outlines are found: a cell of the grid that is carved has 3 pixels then."""
+_AT_ONCE = 65_536
+"""Places per task of a thread."""
 _ROUNDS = 1
 """Rounds of GrabCut: photos vote, and three rounds find no more."""
 
@@ -49,12 +52,15 @@ class Carving:
 
     def with_outlines(self, thing: Mesh) -> Carving:
         """Return the same with the outlines that the photos have of a thing, whose mesh is known roughly."""
-        scene = RaycastingScene(thing)
-        return Carving(self.pictures, tuple(in_threads(lambda each: _outline(each, thing, scene), self.pictures)))
+        scene, colours = RaycastingScene(thing), colours_of(thing, self.pictures)
+        outlines = in_threads(lambda each: _outline(each, thing, scene, colours), self.pictures)
+        return Carving(self.pictures, tuple(outlines))
 
     def is_free(self, places: Floats) -> Bools:
         """Return a mask (N,) of the places (N,3) that are in free space."""
-        return self._is_seen_past(places) | self.is_beside(places)
+        parts = slices(len(places), _AT_ONCE)
+        free = in_threads(lambda part: self._is_seen_past(places[part]) | self.is_beside(places[part]), parts)
+        return np.concatenate([np.zeros(0, bool), *free])
 
     def is_beside(self, places: Floats) -> Bools:
         """Return a mask (N,) of the places (N,3) where photos show background."""
@@ -79,9 +85,11 @@ class Carving:
         return (past >= _FEWEST) & (past > before)
 
 
-def _outline(picture: PosedPicture, thing: Mesh, scene: RaycastingScene) -> _Outline | None:
+def _outline(
+    picture: PosedPicture, thing: Mesh, scene: RaycastingScene, colours: ObjectColours | None
+) -> _Outline | None:
     view = see_mesh(picture, scene, _LONGEST_PX)
     if view is None:
         return None
-    beside = beyond(outline_thing(view, picture, thing, scene, rounds=_ROUNDS))
+    beside = beyond(outline_thing(view, picture, thing, scene, colours, rounds=_ROUNDS))
     return _Outline(beside.astype(np.uint8), view.hidden.astype(np.uint8))

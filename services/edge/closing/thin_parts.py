@@ -124,18 +124,22 @@ class _Hull:
     def of(cls, xyz: Floats, pictures: Sequence[PosedPicture], support: Plane | None) -> _Hull | None:
         """Learn the object's colours; None where they do not tell it from its background."""
         longest = float(np.ptp(xyz, axis=0).max())
-        seen = [each.in_view(xyz) for each in pictures]
-        photos = []
-        cells = []
-        for picture, (shown, _, _) in zip(pictures, seen, strict=True):
+
+        def look(picture: PosedPicture) -> tuple[Bytes, Floats, float] | None:
+            shown, at, _ = picture.in_view(xyz)
             if not len(shown):
                 return None
             rgb = picture.load_rgb()
             away = np.linalg.norm(xyz[shown] - picture.eye, axis=1)
             pixel = float(np.median(away)) / (float(picture.focal.max()) * max(rgb.shape[:2]))
-            cells.append(max(pixel, longest / _MOST_CELLS))
-            photos.append(shrink_to(rgb, max(1, round(max(rgb.shape[:2]) * min(1.0, pixel / cells[-1])))))
-        colours = ObjectColours.learn(photos, [at for _, at, _ in seen])
+            cell = max(pixel, longest / _MOST_CELLS)
+            return shrink_to(rgb, max(1, round(max(rgb.shape[:2]) * min(1.0, pixel / cell)))), at, cell
+
+        seen = [found for found in in_threads(look, pictures) if found is not None]
+        if len(seen) < len(pictures):
+            return None
+        photos, at, cells = zip(*seen, strict=True)
+        colours = ObjectColours.learn(photos, at)
         if colours is None:
             return None
         cell = float(np.median(cells))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.arrays import Bools, Floats, Ints
 from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.photos.undistorted import UndistortedPhoto
 
@@ -38,43 +38,55 @@ def confirmations(
     In depths 0 is unknown.
     """
     depth, home = depths[view], pictures[view]
-    rows, columns = np.nonzero(depth)
+    rows, columns = (each.astype(np.int32) for each in np.nonzero(depth))
     z = depth[rows, columns]
     # In the view's own frame, single precision is enough wherever in the world it is.
     places = _back_project(home.camera, columns, rows, z)
-    strict, loose = np.zeros(depth.shape, np.int16), np.zeros(depth.shape, np.int16)
+    strict, loose = np.zeros(len(z), np.int16), np.zeros(len(z), np.int16)
     for other in others:
-        off, back_px = _differences(places, home, np.stack([columns, rows]), z, pictures[other], depths[other])
+        near, off, back_px = _differences(places, home, (columns, rows), z, pictures[other], depths[other])
         for count, most in ((strict, STRICT), (loose, LOOSE)):
-            count[rows, columns] += (off < most.relative) & (back_px < most.back_px)
-    return strict, loose
+            count[near[(off < most.relative) & (back_px < most.back_px)]] += 1
+    return _image(strict, depth > 0), _image(loose, depth > 0)
+
+
+def _image(values: Ints, pixels: Bools) -> Ints:
+    """Lay values (N,) out over the N pixels that are true, and 0 over the others: (H,W)."""
+    image = np.zeros(pixels.shape, values.dtype)
+    image[pixels] = values
+    return image
 
 
 def _differences(
-    places: Floats, home: UndistortedPhoto, pixel: Ints, z_home: Floats, away: UndistortedPhoto, depth_away: Floats
-) -> tuple[Floats, Floats]:
-    """Return how far the view `away` differs about the depths z_home (N,) of pixels (2,N) of `home`.
+    places: Floats,
+    home: UndistortedPhoto,
+    pixels: tuple[Ints, Ints],
+    z_home: Floats,
+    away: UndistortedPhoto,
+    depth_away: Floats,
+) -> tuple[Ints, Floats, Floats]:
+    """Return how far the view `away` differs about the depths z_home (N,) of pixels of `home`, their columns and rows.
 
     places (3,N): the pixels' points in the frame of `home`. A point has to be on the surface that `away` sees, and this
-    surface's point has to project back to the same pixel and depth. Returns the larger relative difference of the two
-    depths (N,), and the distance in pixels (N,); both are infinite where `away` sees nothing there."""
+    surface's point has to project back to the same pixel and depth. Returns the M pixels (M,) that `away` sees about
+    there, of which the larger relative difference of the two depths (M,), and the distance in pixels (M,)."""
     to_away = away.world_to_camera @ np.linalg.inv(home.world_to_camera)
     u, v, z = _project(away.camera, to_away, places)
     height, width = depth_away.shape
-    inside = (z > 0) & (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
-    off, back_px = np.full(len(z), np.inf, np.float32), np.full(len(z), np.inf, np.float32)
-    index = np.flatnonzero(inside)
-    column, row = np.rint(u[index]).astype(np.int32), np.rint(v[index]).astype(np.int32)
-    seen = depth_away[row, column]
-    near = np.abs(seen - z[index]) < LOOSE.relative * z[index]
-    index, column, row, seen = index[near], column[near], row[near], seen[near]
+    inside = np.flatnonzero((z > 0) & (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5))
+    z = z[inside]
+    at = np.rint(v[inside]).astype(np.int32) * width + np.rint(u[inside]).astype(np.int32)
+    seen = depth_away.ravel()[at]
+    close = np.abs(seen - z) < LOOSE.relative * z
+    near, seen, z = inside[close], seen[close], z[close]
+    row, column = np.divmod(at[close], width)
     back_u, back_v, back_z = _project(
         home.camera, np.linalg.inv(to_away), _back_project(away.camera, column, row, seen)
     )
-    off[index] = np.maximum(np.abs(seen / z[index] - 1), np.abs(back_z / z_home[index] - 1))
+    off = np.maximum(np.abs(seen / z - 1), np.abs(back_z / z_home[near] - 1))
     # The other view's pixel is rounded, which adds up to .71 px to the distance.
-    back_px[index] = np.hypot(back_u - pixel[0, index], back_v - pixel[1, index]) - 0.71
-    return off, back_px
+    back_px = np.hypot(back_u - pixels[0][near], back_v - pixels[1][near]) - np.float32(0.71)
+    return near, off, back_px
 
 
 def _back_project(camera: Intrinsics, columns: Ints, rows: Ints, z: Floats) -> Floats:

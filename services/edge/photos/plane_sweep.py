@@ -2,7 +2,9 @@
 
 R. T. Collins, "A Space-Sweep Approach to True Multi-Image Matching", 1996. Planes parallel to the view's image are at
 equal steps of inverse depth q = 1/z; for each plane the other pictures are warped to the view by a homography and
-compared (`zncc`); `sgm` chooses a plane for every pixel; then the depth is refined per pixel between the planes.
+compared (`zncc`); `sgm` chooses a plane for every pixel; then the depth is refined per pixel between the planes, and
+smoothed within surfaces, by turns: a pixel alone follows its noise, and where each of a window's pixels has another
+error, the window matches less well.
 A `SweepBackend` does the computation: `plane_sweep_cpu.py` on the CPU, `plane_sweep_torch.py` on a GPU.
 """
 
@@ -25,10 +27,15 @@ _PERCENTILES = (0.5, 99.0)
 """Percentiles of the sparse points' depths that count as nearest and farthest."""
 _STEP_PX = 1.0
 """Shift of a source's pixels from plane to plane; the refinement finds depths between them."""
-_FEWEST, _MOST = 24, 128
-"""Least and most planes. Memory is 4 bytes per pixel and plane: 128 of 640 x 480 are 160 MB."""
-_REFINEMENTS = (0.5, 0.25, 0.08)
+_FEWEST, _MOST = 24, 96
+"""Least and most planes. Memory is 4 bytes per pixel and plane: 96 of 320 x 240 are 30 MB. Of 128 no more is found, of
+80 a little less in dark fur."""
+_REFINEMENTS = (0.5, 0.25, 0.12)
 """Steps of the refinement, in distances between planes."""
+_ALIKE, _NEAR_PX = 0.5, 1.5
+"""Standard deviations of the smoothing: differences of neighbours, in distances between planes, and pixels. With it the
+depth of a rendered cup errs by .06 % of its size in the median, without it by .10. Twice as wide a difference, a median
+before it and a fourth refinement leave .05, but of stems of two pixels a twentieth less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +86,12 @@ def sweep(
     q_far, q_near = 1 / (_FARTHER * far), 1 / (_NEARER * near)
     small, small_sources = reference.half_size(), [source.half_size() for source in sources]
     planes = np.linspace(q_far, q_near, _planes(small, small_sources, q_far, q_near))
+    spacing = float(planes[1] - planes[0])
     chosen = backend_of(small, small_sources).choose_planes(planes, lambda fraction: tick(0.6 * fraction))
     fine = backend_of(reference, sources)
-    q = _upscale((planes[0] + (planes[1] - planes[0]) * chosen).astype(np.float32), reference.grey.shape)
+    q = _upscale((planes[0] + spacing * chosen).astype(np.float32), reference.grey.shape)
     for number, step in enumerate(_REFINEMENTS):
-        q = _refine(fine, q, step * (planes[1] - planes[0]))
+        q = _smooth(_refine(fine, q, step * spacing), spacing)
         tick(0.6 + 0.4 * (number + 1) / len(_REFINEMENTS))
     q = np.clip(q, q_far, q_near).astype(np.float32)
     return DepthMap(1 / q, fine.score(q))
@@ -107,3 +115,10 @@ def _refine(backend: SweepBackend, q: Floats, step: float) -> Floats:
     """Move q by at most `step` to the best score; each pixel of a window is warped by its own depth."""
     scores = [backend.score(q + np.float32(offset * step)) for offset in (-1, 0, 1)]
     return q + np.float32(step) * vertex(-scores[0], -scores[1], -scores[2])
+
+
+def _smooth(q: Floats, spacing: float) -> Floats:
+    """Smooth inverse depths within surfaces, not over their edges. Those of a plane are linear: they stay."""
+    import cv2
+
+    return np.asarray(cv2.bilateralFilter(q, 5, _ALIKE * spacing, _NEAR_PX))

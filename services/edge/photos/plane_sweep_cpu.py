@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats, Tick
@@ -18,23 +19,25 @@ class CpuSweep:
 
     def __init__(self, reference: UndistortedPhoto, sources: Sequence[UndistortedPhoto]) -> None:
         self._windows = Windows.of(reference.grey)
-        self._rays = Rays.of(reference)
+        rays = Rays.of(reference)
         self._others = [WarpSource.of(reference, source) for source in sources]
+        self._turned = [other.turned(rays) for other in self._others]
 
     def choose_planes(self, planes: Floats, tick: Tick) -> Floats:
         """Choose a plane for each pixel by SGM: its index (H,W), with a fraction between planes."""
         grey = self._windows.grey
-        cost = np.empty((*grey.shape, len(planes)), np.uint8)
+        by_plane = np.empty((len(planes), grey.size), np.uint8)
         for number, q in enumerate(planes):
-            cost[..., number] = self._cost(q)
+            by_plane[number] = self._cost(q).ravel()
             tick((number + 1) / len(planes))
+        cost = np.asarray(cv2.transpose(by_plane), np.uint8).reshape(*grey.shape, len(planes))
         return _lowest(aggregate(cost, grey.astype(np.uint8)))
 
     def score(self, q: Floats) -> Floats:
         """Return the ZNCC (H,W) in [-1,1] at the inverse depths q (H,W): the mean of the two best sources."""
         best = BestTwo(q.shape)
-        for other in self._others:
-            best.add(self._windows.zncc(other.at(self._rays, q)))
+        for other, turned in zip(self._others, self._turned, strict=True):
+            best.add(self._windows.zncc(other.at(turned, q)))
         return best.mean()
 
     def _cost(self, q: float) -> Bytes:
@@ -43,7 +46,7 @@ class CpuSweep:
         best = BestTwo(shape)
         for other in self._others:
             best.add(self._windows.zncc(other.on_plane(q, shape)))
-        return (127.5 * (1 - np.clip(best.mean(), -1, 1))).astype(np.uint8)
+        return np.asarray(cv2.convertScaleAbs(best.mean(), alpha=-127.5, beta=127.5))
 
 
 def _lowest(total: Costs) -> Floats:

@@ -10,6 +10,9 @@ import numpy as np
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.photos.undistorted import UndistortedPhoto
 
+_BEHIND = np.float32(1e-6)
+"""Least depth that a point is projected with, over that of the ray's length."""
+
 
 @dataclass(frozen=True, slots=True)
 class Rays:
@@ -59,16 +62,17 @@ class WarpSource:
             )
         )
 
-    def at(self, rays: Rays, q: Floats) -> Floats:
-        """Warp the picture to the reference by the inverse depth q (H,W) of each pixel."""
+    def turned(self, rays: Rays) -> Floats:
+        """Turn the reference's rays into the source: turn·(x, y, 1) of each pixel, (3,H,W) float32."""
+        turn = self.turn.astype(np.float32)
+        return np.stack([each[0] * rays.x[None] + (each[1] * rays.y + each[2])[:, None] for each in turn])
+
+    def at(self, turned: Floats, q: Floats) -> Floats:
+        """Warp the picture to the reference by the inverse depth q (H,W) of each pixel; turned (3,H,W): its rays."""
         import cv2
 
-        turn, shift = self.turn.astype(np.float32), self.shift.astype(np.float32)
-        u, v, w = (
-            turn[axis, 0] * rays.x[None] + (turn[axis, 1] * rays.y + turn[axis, 2])[:, None] + shift[axis] * q
-            for axis in range(3)
-        )
-        w = np.where(w > 0, w, np.float32(np.nan))  # points behind the source are outside its picture
+        u, v, w = (rays + shift * q for rays, shift in zip(turned, self.shift.astype(np.float32), strict=True))
+        w = np.maximum(w, _BEHIND)  # points behind the source are far outside its picture
         return np.asarray(cv2.remap(self.grey, u / w, v / w, cv2.INTER_LINEAR))
 
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick
+from capture2vr.edge.field.eigen import smallest_eigenvectors
 from capture2vr.edge.parallel import in_threads, slices
 
-NEIGHBOURS = (48, 32)
+NEIGHBOURS = (24, 16)
 """Number of neighbours in each of the two rounds; the first is wider than the ripples. Planes, not quadrics: quadrics
-are 1 % more accurate and take twice the time."""
+are 1 % more accurate and take twice the time. Twice as many neighbours take detail off (statue, within .5 % of the
+other program's points: 94.5 instead of 95.4 %)."""
 _WIDER = 1.05
 """Radius of the weight over the farthest neighbour's distance, so that this neighbour keeps a tenth of the weight."""
 _CHUNK = 4_096
@@ -29,31 +31,37 @@ def smooth_stereo_points(
     A neighbour's weight is multiplied by 1 − d²/R². A cloud with fewer points than neighbours is returned unchanged.
     `tick` is called between chunks, on the caller's thread. Raises what it raises.
     """
-    wide, narrow = neighbours
-    xyz = _onto_planes(xyz, weight, wide, lambda part: tick(0.6 * part))
-    return _onto_planes(xyz, weight, narrow, lambda part: tick(0.6 + 0.4 * part))
-
-
-def _onto_planes(xyz: Floats, weight: Floats, neighbours: int, tick: Tick) -> Floats:
-    """Project every point onto the weighted least-squares plane of its neighbours: one round."""
     from scipy.spatial import cKDTree
 
-    if len(xyz) <= neighbours:
+    wide, narrow = neighbours
+    if len(xyz) <= wide:
         return xyz
     tree = cKDTree(xyz)
-    moved = xyz.copy()
+    nearest = np.empty((len(xyz), narrow + 1), np.int32)  # points move too little to get other neighbours
 
-    def work(part: slice) -> None:
-        distance, index = tree.query(xyz[part], k=neighbours + 1)
-        relative = xyz[index] - xyz[part, None]
-        radius = np.maximum(_WIDER * distance[:, -1:], np.finfo(np.float64).tiny)  # duplicates: distance 0
-        near = (1 - np.square(distance / radius)) * weight[index]
-        near /= np.maximum(near.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-        mean = np.einsum("nk,nkx->nx", near, relative)
-        centred = relative - mean[:, None]
-        covariance = np.matmul((centred * near[..., None]).transpose(0, 2, 1), centred)
-        normal = np.linalg.eigh(covariance)[1][:, :, 0]
-        moved[part] += np.einsum("nx,nx->n", mean, normal)[:, None] * normal
+    def look(part: slice) -> Floats:
+        _, index = tree.query(xyz[part], k=wide + 1)
+        nearest[part] = index[:, : narrow + 1]
+        return _onto_planes(xyz, weight, part, index)
 
-    in_threads(work, slices(len(xyz), _CHUNK), tick)
+    parts = slices(len(xyz), _CHUNK)
+    once = np.concatenate(in_threads(look, parts, lambda part: tick(0.7 * part)))
+    again = in_threads(
+        lambda part: _onto_planes(once, weight, part, nearest[part]), parts, lambda part: tick(0.7 + 0.3 * part)
+    )
+    return np.concatenate(again)
+
+
+def _onto_planes(xyz: Floats, weight: Floats, part: slice, index: Ints) -> Floats:
+    """Project a part of the points onto the weighted least-squares planes of their neighbours, index (n,K): (n,3)."""
+    relative = xyz[index] - xyz[part, None]
+    distance = np.sqrt(np.einsum("nkx,nkx->nk", relative, relative))
+    radius = np.maximum(_WIDER * distance.max(axis=1, keepdims=True), np.finfo(np.float64).tiny)  # duplicates: 0
+    near = (1 - np.square(distance / radius)) * weight[index]
+    near /= np.maximum(near.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    mean = np.einsum("nk,nkx->nx", near, relative)
+    centred = relative - mean[:, None]
+    covariance = np.matmul((centred * near[..., None]).transpose(0, 2, 1), centred)
+    normal = smallest_eigenvectors(covariance)
+    moved: Floats = xyz[part] + np.einsum("nx,nx->n", mean, normal)[:, None] * normal
     return moved

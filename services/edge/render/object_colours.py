@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.parallel import in_threads
 
 MOST = 4.0
 """Largest evidence of a pixel, either way: one photo must not decide alone."""
@@ -27,8 +28,8 @@ _COMMON = 0.9  # share of the background's pixels whose colours are its common o
 _MARGIN = 1.5  # times the share of background that is found among the object's pixels is taken out of these
 _MOST_OF_IT = 0.6  # share of background among the object's pixels from which on nothing is known of its colours
 _FLOOR = 1e-6  # probability of a colour that was not seen
-_MOST_ALIKE = 0.15
-"""Bhattacharyya coefficient of the two histograms from which on the colours do not tell object and background apart."""
+MOST_ALIKE = 0.15
+"""Likeness of the two histograms from which on the colours alone do not tell object and background apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +39,17 @@ class ObjectColours:
     evidence_of: Floats
 
     @classmethod
-    def learn(cls, photos: Sequence[Bytes], at: Sequence[Floats]) -> ObjectColours | None:
+    def learn(
+        cls, photos: Sequence[Bytes], at: Sequence[Floats], most_alike: float = MOST_ALIKE
+    ) -> ObjectColours | None:
         """Learn the colours from photos (h,w,3) uint8 sRGB and the positions (N,2) of the object's points in each, in
-        shares of its sides. None where object and background have the same colours.
+        shares of its sides. None where object and background have the same colours: where the Bhattacharyya coefficient
+        of their histograms is over `most_alike`.
         """
         on, off = np.zeros(_BINS**3), np.zeros(_BINS**3)
-        for rgb, places in zip(photos, at, strict=True):
-            away, colours = _away(rgb, places), _bins(rgb)
-            on += np.bincount(colours[away == 0], minlength=len(on))
-            off += np.bincount(colours[_is_around(away)], minlength=len(off))
+        for thing_in, ground_in in in_threads(lambda seen: _counts(*seen), list(zip(photos, at, strict=True))):
+            on += thing_in
+            off += ground_in
         if not on.any() or not off.any():
             return None
         thing, ground = _smooth(on), _smooth(off)
@@ -55,7 +58,7 @@ class ObjectColours:
         if mixed > _MOST_OF_IT or not thing.any():
             return None
         thing /= thing.sum()
-        if np.sqrt(thing * ground).sum() > _MOST_ALIKE:
+        if np.sqrt(thing * ground).sum() > most_alike:
             return None
         return cls(np.clip(np.log((thing + _FLOOR) / (ground + _FLOOR)), -MOST, MOST).astype(np.float32))
 
@@ -64,6 +67,13 @@ class ObjectColours:
         import cv2
 
         return np.asarray(cv2.GaussianBlur(self.evidence_of[_bins(rgb)], (0, 0), _PIXEL_BLUR), np.float32)
+
+
+def _counts(rgb: Bytes, places: Floats) -> tuple[Ints, Ints]:
+    """Count (bins³,) a photo's pixels at the object's points, and of those around them, by colour."""
+    away, colours = _away(rgb, places), _bins(rgb)
+    on, around = colours[away == 0], colours[_is_around(away)]
+    return np.bincount(on, minlength=_BINS**3), np.bincount(around, minlength=_BINS**3)
 
 
 def _bins(rgb: Bytes) -> Ints:

@@ -18,7 +18,7 @@ sharp  variance of the Laplacian of the rendering over the photo's: 1 is as shar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
@@ -32,7 +32,15 @@ from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import Hits, RaycastingScene
 from capture2vr.edge.render.sample_image import bilinear, pixels_at, resize_mask, shrink_to
-from capture2vr.edge.render.silhouette import beyond, cast_pixels, disc, outline_thing, see_mesh
+from capture2vr.edge.render.silhouette import (
+    MeshInPhoto,
+    beyond,
+    cast_pixels,
+    colours_of,
+    disc,
+    outline_thing,
+    see_mesh,
+)
 
 LIKENESS_PX = 960
 """Longer side of the pictures in which colours are compared."""
@@ -92,22 +100,27 @@ class LikenessCheck:
 
 def check_surface(
     mesh: Mesh,
-    photos: Iterable[PosedPicture],
+    photos: Sequence[PosedPicture],
     seen_by: Sequence[PosedPicture],
-    mask_of: Callable[[PosedPicture], Bools | None] = lambda _: None,
 ) -> list[SurfaceCheck]:
     """Compare a mesh's surface with photos that it was not made from, in whose frame it is.
 
     seen_by  the photos that it was made from, with their depth: which side of a surface they saw
-    mask_of  the mask (h,w) of the thing in a photo, of any size, where it is known
     """
-    pictures = [*photos]
-    if not pictures:
+    if not photos:
         return []
     scene, normals = RaycastingScene(mesh), face_normals(mesh.vertices, mesh.faces)
     depths = [picture.depth() for picture in seen_by]
-    checks = in_threads(lambda photo: _check(photo, mesh, scene, normals, seen_by, depths, mask_of(photo)), pictures)
-    return [check for check in checks if check is not None]
+    colours = colours_of(mesh, [*seen_by, *photos])
+
+    def check(photo: PosedPicture) -> SurfaceCheck | None:
+        view = see_mesh(photo, scene)
+        if view is None:
+            return None
+        thing = outline_thing(view, photo, mesh, scene, colours)
+        return _check(photo, view, thing, normals, seen_by, depths)
+
+    return [found for found in in_threads(check, photos) if found is not None]
 
 
 def check_likeness(
@@ -156,21 +169,16 @@ def _mean_of_known(values: Sequence[float | None]) -> float | None:
 
 def _check(
     picture: PosedPicture,
-    mesh: Mesh,
-    scene: RaycastingScene,
+    view: MeshInPhoto,
+    thing: Bools,
     normals: Floats,
     seen_by: Sequence[PosedPicture],
     depths: Sequence[Floats],
-    known: Bools | None,
-) -> SurfaceCheck | None:
+) -> SurfaceCheck:
     import cv2
 
-    view = see_mesh(picture, scene)
-    if view is None:
-        return None
     found, whole, z, own, past = view.found, view.whole, view.z, view.own, view.past
     height, width = found.shape
-    thing = outline_thing(view, picture, mesh, scene) if known is None else resize_mask(known, (width, height))
     inside = np.zeros(found.size, bool)
     step = max(1, int(found.sum()) // _PROBES)
     probes = np.flatnonzero(found)[::step]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints, evenly
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.render.object_colours import SURE, ObjectColours
@@ -35,6 +35,8 @@ _ROUNDS_OF_RIM = 1  # the same where photos vote on rims: three find no more of 
 _LEAST_GROUND = 0.02  # of the picture: with less background around the thing nothing is cut out
 _LEAST_PIXELS = 200  # of the silhouette; a photo that shows less of the mesh says nothing
 _PROBES = 20_000  # vertices of a mesh that stand for all of them in a search
+_MOST_ALIKE = 0.5  # likeness of the thing's colours and the background's: what is asked is in the silhouette's gaps
+_MOST_COLOURED = 12  # photos from which a thing's colours are learned, evenly chosen
 _FEWEST_VOTES = 2  # photos that must show background: the outline of one may be wrong
 _SAME = 0.02  # relative depth within which a vertex is the surface that a photo sees
 _MAJORITY = 2  # times as many photos must show background as the thing
@@ -88,6 +90,7 @@ def outline_thing(
     picture: PosedPicture,
     mesh: Mesh,
     scene: RaycastingScene,
+    colours: ObjectColours | None,
     *,
     certain: float = _CERTAIN,
     rounds: int = _ROUNDS,
@@ -95,6 +98,7 @@ def outline_thing(
     """Find the thing in a photo (h,w): by the mask that came with the photo, else near the mesh's silhouette, without
     what is known to be something else.
 
+    colours  the thing's, from `colours_of`
     certain  how far inside the mesh's outline the photo surely shows the thing, of the root of the silhouette's area
     rounds   of GrabCut
     """
@@ -103,21 +107,30 @@ def outline_thing(
     places = picture.eye + view.own.reshape(-1, 1) * view.rays
     aside = (view.own > 0) & ~view.whole & (scene.longest > 0)
     aside[aside] = _far_from(places[aside.ravel()], mesh, _ASIDE * scene.longest)
-    return _cut_out(view, view.past | aside | _seen_through(view), _core(view, certain), rounds)
+    return _cut_out(view, view.past | aside | _seen_through(view, colours), _core(view, certain), rounds)
 
 
-def _seen_through(view: MeshInPhoto) -> Bools:
-    """Pixels (h,w) in the silhouette's gaps that have the background's colours, where the mesh has others.
+def colours_of(mesh: Mesh, pictures: Sequence[PosedPicture]) -> ObjectColours | None:
+    """Learn the colours of a mesh's thing from photos of it; None where they do not tell it from its background.
+
+    One photo is not enough: what it shows through a handle may be a part of the background that it shows nowhere else.
+    """
+    vertices = mesh.vertices[:: max(1, len(mesh.vertices) // _PROBES)]
+
+    def look(picture: PosedPicture) -> tuple[Bytes, Floats]:
+        return shrink_to(picture.load_rgb(), LONGEST_PX), picture.in_view(vertices)[1]
+
+    seen = in_threads(look, evenly(pictures, _MOST_COLOURED))
+    return ObjectColours.learn([rgb for rgb, _ in seen], [at for _, at in seen], _MOST_ALIKE)
+
+
+def _seen_through(view: MeshInPhoto, colours: ObjectColours | None) -> Bools:
+    """Pixels (h,w) in the silhouette's gaps that have the background's colours.
 
     GrabCut takes them for the thing's, such as a dark wall between light stems, because it begins with them among it.
     """
     gaps = view.whole & ~view.found
-    if not gaps.any():
-        return gaps
-    row, column = np.nonzero(view.found)
-    places = (np.stack([column, row], axis=1) + 0.5) / view.found.shape[::-1]
-    colours = ObjectColours.learn([view.rgb], [places])
-    if colours is None:
+    if colours is None or not gaps.any():
         return np.zeros_like(gaps)
     return gaps & (colours.evidence(view.rgb) < -SURE)
 
@@ -130,20 +143,22 @@ def outside_outlines(mesh: Mesh, pictures: Sequence[PosedPicture]) -> Bools:
     """
     if len(pictures) < _FEWEST_VOTES:
         return np.zeros(len(mesh.vertices), bool)
-    scene = RaycastingScene(mesh)
+    scene, colours = RaycastingScene(mesh), colours_of(mesh, pictures)
     background, thing = (np.zeros(len(mesh.vertices), np.int64) for _ in range(2))
-    for beside, on in in_threads(lambda picture: _vote(picture, mesh, scene), pictures):
+    for beside, on in in_threads(lambda picture: _vote(picture, mesh, scene, colours), pictures):
         background[beside] += 1
         thing[on] += 1
     return (background >= _FEWEST_VOTES) & (background > _MAJORITY * thing)
 
 
-def _vote(picture: PosedPicture, mesh: Mesh, scene: RaycastingScene) -> tuple[Ints, Ints]:
+def _vote(
+    picture: PosedPicture, mesh: Mesh, scene: RaycastingScene, colours: ObjectColours | None
+) -> tuple[Ints, Ints]:
     """Indices of the vertices that a photo sees near the silhouette's outline: beside the thing, and on it."""
     view = see_mesh(picture, scene)
     if view is None:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    thing = outline_thing(view, picture, mesh, scene, certain=_CERTAIN_OF_RIM, rounds=_ROUNDS_OF_RIM)
+    thing = outline_thing(view, picture, mesh, scene, colours, certain=_CERTAIN_OF_RIM, rounds=_ROUNDS_OF_RIM)
     near = view.found & ~_core(view, _CERTAIN_OF_RIM)
     shown, at, z = picture.in_view(mesh.vertices)
     same = np.abs(z - pixels_at(view.z, at)) < _SAME * z

@@ -30,7 +30,7 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import RaycastingScene
 from capture2vr.edge.render.sample_image import shrink_to
-from capture2vr.edge.render.silhouette import disc, outline_thing, see_mesh
+from capture2vr.edge.render.silhouette import colours_of, disc, outline_thing, see_mesh
 from capture2vr.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
 from capture2vr.edge.splats.surface_splats import THINNEST_M, Splats
 from capture2vr.sentences.sentence import say
@@ -91,11 +91,11 @@ def _numbers(count: int) -> Iterator[int]:
 
 def _load(mesh: Mesh, pictures: Sequence[PosedPicture], device: torch.device, tick: Tick) -> list[_Photo]:
     """Load the photos that show the mesh."""
-    scene, photos = RaycastingScene(mesh), list[_Photo]()
+    scene, colours, photos = RaycastingScene(mesh), colours_of(mesh, pictures), list[_Photo]()
     for number, each in enumerate(pictures):
         picture = each.loaded()  # decoded once, and looked at three times
         if (view := see_mesh(picture, scene)) is not None:
-            thing = outline_thing(view, picture, mesh, scene)
+            thing = outline_thing(view, picture, mesh, scene, colours)
             unsure = disc(max(1, round(_UNSURE * max(thing.shape))))
             inner = cv2.erode((thing & ~view.hidden).astype(np.uint8), unsure) > 0
             outer = cv2.dilate((thing | view.whole | view.hidden).astype(np.uint8), unsure) > 0

@@ -180,3 +180,12 @@ def test_a_preset_of_large_levels_still_gets_a_file_for_phones(monkeypatch: pyte
     level = bumpy_sheet()
     coloured = replace(level, rgb=print_of(level.vertices))
     assert "asset.usdz" in preview_images([coloured], last=True, tick=no_tick)
+
+
+def test_a_brief_bundle_has_a_contact_sheet_of_half_the_side() -> None:
+    level = surfaces.patch(lambda u, v: [u, v, 0 * u], 10, 10)
+    sides = {}
+    for brief in (True, False):
+        sheet = preview_images([level], last=False, brief=brief, tick=no_tick)["preview.png"]
+        sides[brief] = Image.open(io.BytesIO(sheet)).size
+    assert sides == {True: (512, 512), False: (1024, 1024)}

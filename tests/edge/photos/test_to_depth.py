@@ -33,6 +33,7 @@ from capture2vr.edge.photos.sgm import P1, aggregate
 from capture2vr.edge.photos.source_views import choose_sources
 from capture2vr.edge.photos.to_depth import to_depth
 from capture2vr.edge.photos.undistorted import UndistortedPhoto
+from capture2vr.edge.photos.warp import WarpSource
 from capture2vr.edge.photos.zncc import BestTwo, Windows
 from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.preset import load_preset
@@ -122,6 +123,27 @@ def test_the_best_two_of_the_scores_count_or_the_only_one() -> None:
 def test_a_parabola_is_least_at_its_vertex(at: float, bend: float, level: float) -> None:
     values = [np.array([bend * (x - at) ** 2 + level]) for x in (-1, 0, 1)]
     assert vertex(*values)[0] == pytest.approx(at, abs=1e-5)
+
+
+def test_smoothing_takes_noise_off_a_slope_and_keeps_its_edge() -> None:
+    row, column = np.mgrid[:40, :60].astype(np.float32)
+    slope = 1 + 0.002 * row + 0.003 * column + np.where(column < 30, 0, np.float32(0.5))
+    inner = slice(3, -3)
+    off = np.abs(plane_sweep._smooth(slope, 0.05) - slope)[inner, inner]
+    assert np.delete(off, np.s_[24:30], axis=1).max() < 1e-5
+    assert off.max() < 0.002, "half a pixel's slope, beside the edge"
+    noise = np.random.default_rng(0).normal(0, 0.005, slope.shape).astype(np.float32)
+    left = plane_sweep._smooth(slope + noise, 0.05) - slope
+    assert left[inner, inner].std() < 0.5 * noise.std()
+
+
+def test_what_is_behind_a_source_is_not_in_its_picture() -> None:
+    turned = np.ones((3, 20, 30), np.float32)
+    source = WarpSource(np.full((50, 50), 90, np.float32), np.eye(3), np.array([0, 0, -1.0]), np.eye(3))
+    q = np.linspace(0, 2, 600).reshape(20, 30).astype(np.float32)  # behind it from 1 on
+    seen = source.at(turned, q)
+    assert (seen[q < 0.9] > 0).all()
+    assert (seen[q >= 1] == 0).all()
 
 
 def test_where_there_is_no_least_value_the_lower_side_is_taken() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -204,7 +205,7 @@ def test_a_known_mask_is_believed_at_any_size(finer: int) -> None:
 
     def checked(mesh: Mesh, known: Bools) -> PhotoFigures:
         mask = np.kron(known, np.ones((finer, finer))) > 0
-        (check,) = check_surface(mesh, [photo], (), lambda asked: mask if asked is photo else None)
+        (check,) = check_surface(mesh, [replace(photo, load_mask=lambda: mask)], ())
         return check.figures
 
     assert checked(HOLED, silhouette(SHEET, ABOVE)).lace == pytest.approx(HOLE_SHARE, rel=0.05)

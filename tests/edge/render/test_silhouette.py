@@ -11,7 +11,7 @@ import trimesh
 
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.rays import RaycastingScene
-from capture2vr.edge.render.silhouette import cast_pixels, outline_thing, outside_outlines, see_mesh
+from capture2vr.edge.render.silhouette import cast_pixels, colours_of, outline_thing, outside_outlines, see_mesh
 from tests.support import surfaces
 from tests.support.photos import posed_pictures
 from tests.support.photos.posed_pictures import photographs, printed, silhouette
@@ -61,11 +61,12 @@ def test_a_dark_wall_between_bars_is_not_theirs(monkeypatch: pytest.MonkeyPatch)
     ends += [[[-0.09, 0, z], [0.09, 0, z]] for z in (-0.45, -0.15, 0.15, 0.45)]
     bars = trimesh.util.concatenate([trimesh.creation.cylinder(0.012, segment=each, sections=12) for each in ends])
     mesh = Mesh(np.asarray(bars.vertices), np.asarray(bars.faces))
-    (photo,) = photographs(mesh, [(0, -1.5, 0.1)], depth=False)
+    photos = photographs(mesh, [(0, -1.5, 0.1), (0.5, -1.4, 0.1), (-0.5, -1.4, 0.2)], depth=False)
+    photo = photos[0]
     scene = RaycastingScene(mesh)
     view = see_mesh(photo, scene)
     assert view is not None
-    thing, gaps = outline_thing(view, photo, mesh, scene), view.whole & ~view.found
+    thing, gaps = outline_thing(view, photo, mesh, scene, colours_of(mesh, photos)), view.whole & ~view.found
     assert gaps.sum() > view.found.sum() / 2
     assert thing[gaps].mean() < 0.1, "GrabCut alone takes seven tenths"
     assert thing[view.found].mean() > 0.97
