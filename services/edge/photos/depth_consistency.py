@@ -38,7 +38,8 @@ def confirmations(
     In depths 0 is unknown.
     """
     depth, home = depths[view], pictures[view]
-    rows, columns = (each.astype(np.int32) for each in np.nonzero(depth))
+    known = depth > 0
+    rows, columns = (each.astype(np.int32) for each in np.nonzero(known))
     z = depth[rows, columns]
     # In the view's own frame, single precision is enough wherever in the world it is.
     places = _back_project(home.camera, columns, rows, z)
@@ -47,7 +48,7 @@ def confirmations(
         near, off, back_px = _differences(places, home, (columns, rows), z, pictures[other], depths[other])
         for count, most in ((strict, STRICT), (loose, LOOSE)):
             count[near[(off < most.relative) & (back_px < most.back_px)]] += 1
-    return _image(strict, depth > 0), _image(loose, depth > 0)
+    return _image(strict, known), _image(loose, known)
 
 
 def _image(values: Ints, pixels: Bools) -> Ints:

@@ -115,7 +115,7 @@ def colours_of(mesh: Mesh, pictures: Sequence[PosedPicture]) -> ObjectColours | 
 
     One photo is not enough: what it shows through a handle may be a part of the background that it shows nowhere else.
     """
-    vertices = mesh.vertices[:: max(1, len(mesh.vertices) // _PROBES)]
+    vertices = _some_vertices(mesh)
 
     def look(picture: PosedPicture) -> tuple[Bytes, Floats]:
         return shrink_to(picture.load_rgb(), LONGEST_PX), picture.in_view(vertices)[1]
@@ -241,12 +241,16 @@ def _nearest_known(z: Floats, found: Bools) -> Floats:
     return nearest
 
 
+def _some_vertices(mesh: Mesh) -> Floats:
+    """(N,3) vertices that stand for all of a mesh's."""
+    return mesh.vertices[:: max(1, len(mesh.vertices) // _PROBES)]
+
+
 def _far_from(places: Floats, mesh: Mesh, reach: float) -> Bools:
     """(N,) whether places lie farther from every vertex of the mesh."""
     from scipy.spatial import cKDTree
 
-    step = max(1, len(mesh.vertices) // _PROBES)
-    away, _ = cKDTree(mesh.vertices[::step]).query(places, distance_upper_bound=reach)
+    away, _ = cKDTree(_some_vertices(mesh)).query(places, distance_upper_bound=reach)
     return np.asarray(~np.isfinite(away))
 
 
