@@ -29,6 +29,7 @@ from capture2vr.errors import BadInput
 from tests.cli.local.test_run import capture2vr
 from tests.conftest import missing
 from tests.support.clouds import write_ply
+from tests.support.command_lines import command_of, setting_of
 from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.slow
@@ -116,16 +117,16 @@ def test_no_other_user_of_the_machine_may_read_what_it_keeps(url: str, disk: Pat
 @pytest.mark.skipif(os.geteuid() != 0, reason="who is not root may not look into a service")
 def test_no_other_user_of_the_machine_may_start_jobs(url: str, data: Path) -> None:
     """The worker asks for no token: it listens on no port, but on a socket that its user alone may open."""
-    working = [each for each in psutil.process_iter() if "edge" in each.cmdline()[-2:] and str(data) in _places(each)]
+    working = [
+        each
+        for each in psutil.process_iter()
+        if "edge" in command_of(each)[-2:] and str(data) in setting_of(each, "EDGE_SCRATCH")
+    ]
     assert len(working) == 1
     for each in (*working, *working[0].children(recursive=True)):
         assert [line for line in each.net_connections("tcp") if line.status == "LISTEN"] == []
     (address,) = {line.laddr for line in working[0].net_connections("unix") if line.laddr.endswith("edge.sock")}
     assert Path(address).parent.stat().st_mode & 0o077 == 0
-
-
-def _places(process: psutil.Process) -> str:
-    return str(process.environ().get("EDGE_SCRATCH", ""))
 
 
 def test_a_second_push_makes_a_second_version(url: str, disk: Path) -> None:

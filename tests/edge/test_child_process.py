@@ -6,12 +6,12 @@ import sys
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 
 from capture2vr.edge.arrays import no_tick
 from capture2vr.edge.child_process import ChildError, run_child
 from capture2vr.edge.errors import Cancelled
+from tests.support.command_lines import children_running
 from tests.support.patience import CANCEL_S
 
 STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(600)"
@@ -27,10 +27,6 @@ CLOSED = "import os, time; os.close(1); time.sleep(600)"
 
 def python(code: str) -> list[str]:
     return [sys.executable, "-c", code]
-
-
-def descendants() -> list[psutil.Process]:
-    return [child for child in psutil.Process().children(recursive=True) if "time.sleep(600)" in str(child.cmdline())]
 
 
 def test_a_program_that_ends_well_is_waited_for(tmp_path: Path) -> None:
@@ -66,14 +62,14 @@ def test_a_cancel_ends_it_and_what_it_started(tmp_path: Path, code: str, tells_p
     raised: list[float] = []
 
     def cancel(_: float) -> None:
-        if descendants():
+        if children_running("time.sleep(600)"):
             raised.append(time.monotonic())
             raise Cancelled
 
     with pytest.raises(Cancelled):
         run_child(python(code), "it", tmp_path / "log", cancel, most_seconds=60, tells_progress=tells_progress)
     assert time.monotonic() - raised[0] < CANCEL_S
-    assert descendants() == []
+    assert children_running("time.sleep(600)") == []
 
 
 @pytest.mark.slow
@@ -89,7 +85,7 @@ def test_one_that_takes_too_long_is_ended(tmp_path: Path, code: str, tells_progr
     with pytest.raises(ChildError, match=f"it {says} 1 s") as caught:
         run_child(python(code), "it", tmp_path / "log", no_tick, most_seconds=1, tells_progress=tells_progress)
     assert caught.value.too_slow
-    assert descendants() == []
+    assert children_running("time.sleep(600)") == []
 
 
 def test_a_program_that_is_not_there_is_an_oserror(tmp_path: Path) -> None:

@@ -7,14 +7,12 @@ import sys
 import tempfile
 import time
 import xml.etree.ElementTree as ElementTree
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
-import psutil
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,12 +27,14 @@ from capture2vr.edge.cameras.structure_from_motion import align
 from capture2vr.edge.capture.nouns import Intrinsics, Photo
 from capture2vr.edge.errors import Cancelled, CaptureError, EdgeError
 from capture2vr.edge.procrustes import procrustes
+from tests.support.command_lines import children_running
 from tests.support.patience import CANCEL_S
 
 SIZE = (480, 360)
 LENS = Intrinsics(430.0, 430.0, 239.5, 179.5, *SIZE)
 K = np.array([[LENS.fx, 0, LENS.cx], [0, LENS.fy, LENS.cy], [0, 0, 1]])
 BOX_HEIGHT = 0.5
+MAPPER = "capture2vr.edge.cameras.sfm_child"  # other tests of this process leave helpers of Python's own
 
 
 def photo_of(pixels: Bytes, name: str, camera: str = "phone") -> Photo:
@@ -225,17 +225,6 @@ def test_two_photos_are_too_few(posed: list[Photo]) -> None:
     assert caught.value.code == "CAPTURE_LOW_OVERLAP"
 
 
-def children() -> list[psutil.Process]:
-    """The mappers under way; other tests of this process leave helpers of Python's own."""
-    return [child for child in psutil.Process().children() if _maps(child)]
-
-
-def _maps(child: psutil.Process) -> bool:
-    with suppress(psutil.Error):  # it ends while it is looked at
-        return "capture2vr.edge.cameras.sfm_child" in child.cmdline()
-    return False
-
-
 @pytest.mark.slow
 def test_a_cancel_ends_the_child_and_leaves_nothing(
     posed: list[Photo], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -244,21 +233,21 @@ def test_a_cancel_ends_the_child_and_leaves_nothing(
     raised = []
 
     def cancel_in_the_child(_: float) -> None:
-        if children():
+        if children_running(MAPPER):
             raised.append(time.monotonic())
             raise Cancelled
 
     with pytest.raises(Cancelled):
         align(unposed(posed), tick=cancel_in_the_child)
     assert time.monotonic() - raised[0] < CANCEL_S
-    assert children() == []
+    assert children_running(MAPPER) == []
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
 def test_a_child_that_is_killed_is_an_error_with_a_name(posed: list[Photo]) -> None:
     def kill(_: float) -> None:
-        for child in children():
+        for child in children_running(MAPPER):
             child.kill()
 
     with pytest.raises(EdgeError, match="status -9") as caught:

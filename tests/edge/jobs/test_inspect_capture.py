@@ -18,6 +18,7 @@ from capture2vr.edge.jobs.reading_limits import limited_reading
 from capture2vr.process.fork_client import ForkServer
 from tests.bench.load.attack_files import obj_of_materials, ply_of_one_face
 from tests.support import captures
+from tests.support.command_lines import children_running
 
 
 def packed(folder: Path, **files: bytes) -> Path:
@@ -49,9 +50,7 @@ def test_a_capture_is_described_by_the_child(inspector: Inspector, tmp_path: Pat
 
 def test_a_face_of_two_million_corners_costs_no_more_than_its_triangles(inspector: Inspector, tmp_path: Path) -> None:
     inspector.start()
-    (server,) = (
-        each for each in psutil.Process().children() if "capture2vr.edge.jobs.inspection_work" in each.cmdline()
-    )
+    (server,) = children_running("capture2vr.edge.jobs.inspection_work")
     before = server.cpu_times()
     archive = packed(tmp_path, a__ply=ply_of_one_face(2_000_000))
     found = inspector.inspect(archive, scratch_in(tmp_path), None, no_tick)
