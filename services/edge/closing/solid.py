@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, map_coordinates
-from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron, vstack
+from scipy.sparse import coo_array, csr_array, diags_array, vstack
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
@@ -40,7 +40,8 @@ _FREE_DEEP = 2
 """Cells inside free space from which on φ is not solved for."""
 _ON_POINTS = 1.2
 """Cells from a point within which free space does not count: its border is known to within a cell."""
-_PENALTY = 4.0
+_PENALTY, _INERTIA = 4.0, 1e-5
+"""Weights of the penalties, and of nodes that nothing else determines."""
 _ROUNDS, _EXACT = 4, 1e-3
 """Rounds of the active set, and the relative residual that ends each."""
 _STEPS, _WORK = 60, 6_000_000
@@ -155,17 +156,19 @@ def _solve(
     phi[deep] = np.maximum(least[deep], _OUTSIDE)
     inner = np.flatnonzero(~deep)
     matrix, right = _normal_equations(measured, grid, inner, phi, deep)
-    values, bound = phi[inner], least[inner]
+    diagonal = matrix.diagonal() + np.float32(_INERTIA)
+    values, bound = phi[inner].astype(np.float32), least[inner].astype(np.float32)
     for _ in range(_ROUNDS):
         held = values < bound
-        whole = (matrix + diags_array(_PENALTY * held)).tocsr()
+        penalised = diagonal + np.float32(_PENALTY) * held
+        matrix.setdiag(penalised)
         values, _ = cg(
-            whole,
-            right + _PENALTY * np.where(held, bound, 0),
+            matrix,
+            right + np.float32(_PENALTY) * np.where(held, bound, np.float32(0)),
             x0=values,
             rtol=_EXACT,
             maxiter=max(_STEPS, _WORK // max(len(inner), 1)),
-            M=diags_array(1 / whole.diagonal()),
+            M=diags_array(1 / penalised),
         )
     phi[inner] = values
     return _Solved(grid, phi.reshape(grid.shape), free.reshape(grid.shape))
@@ -191,7 +194,7 @@ def _thinned(points: OrientedPoints, grid: SolidGrid) -> OrientedPoints:
 def _normal_equations(
     points: OrientedPoints, grid: SolidGrid, inner: Ints, phi: Floats, deep: Bools
 ) -> tuple[csr_array, Floats]:
-    """The least squares' matrix and right side for the inner nodes (M,); the deep ones keep their φ."""
+    """The least squares' matrix and right side for the inner nodes (M,), float32; the deep ones keep their φ."""
     step = _OFFSET * grid.side * points.normal
     root = diags_array(np.sqrt(points.weight))
     rows = [root @ _interpolation(points.xyz + side * step, grid) * size for side, size in ((0, 2.0), (1, 1), (-1, 1))]
@@ -201,8 +204,8 @@ def _normal_equations(
     equations = vstack([*rows, bend]).tocsr()
     wanted = np.concatenate([wanted, np.zeros(bend.shape[0])]) - equations @ np.where(deep, phi, 0)
     solved = equations[:, inner]
-    matrix = (solved.T @ solved + 1e-5 * eye_array(len(inner))).tocsr()
-    return matrix, solved.T @ wanted
+    matrix = (solved.T @ solved).T  # it is symmetric, and by rows it is multiplied faster than by columns
+    return matrix.astype(np.float32), (solved.T @ wanted).astype(np.float32)
 
 
 def _interpolation(places: Floats, grid: SolidGrid) -> csr_array:
@@ -220,16 +223,11 @@ def _interpolation(places: Floats, grid: SolidGrid) -> csr_array:
 
 def _laplacian(shape: tuple[int, int, int]) -> csr_array:
     """Matrix of the Laplacian on a grid, in cells; across the border nothing changes."""
-    eyes = [eye_array(count, format="csr") for count in shape]
-    second = [_second_difference(count) for count in shape]
-    along_x = kron(kron(second[0], eyes[1]), eyes[2])
-    along_y = kron(kron(eyes[0], second[1]), eyes[2])
-    along_z = kron(kron(eyes[0], eyes[1]), second[2])
-    return (along_x + along_y + along_z).tocsr()
-
-
-def _second_difference(count: int) -> csr_array:
-    middle = np.full(count, -2.0)
-    middle[[0, -1]] = -1
-    beside = np.ones(count - 1)
-    return diags_array([beside, middle, beside], offsets=[-1, 0, 1]).tocsr()
+    middle, diagonals, offsets = np.zeros(shape), [], []
+    for axis, stride in enumerate((shape[1] * shape[2], shape[2], 1)):
+        has_next = np.ones(shape)
+        has_next.swapaxes(0, axis)[-1] = 0
+        middle -= has_next + np.flip(has_next, axis)
+        diagonals += [has_next.ravel()[:-stride]] * 2
+        offsets += [stride, -stride]
+    return diags_array([*diagonals, middle.ravel()], offsets=[*offsets, 0]).tocsr()
