@@ -150,7 +150,7 @@ BAD: dict[str, Bad] = {
     "a PLY that claims 10^12 points": Bad(
         "CAPTURE_TRUNCATED", "scan.ply", one("scan.ply", lambda: _PLY.replace(b"vertex 500", b"vertex 1000000000000"))
     ),
-    "NaN": Bad("CAPTURE_NOT_FINITE", "scan.ply", points(np.where(XYZ > 0, np.nan, XYZ))),
+    "NaN": Bad("CAPTURE_NOT_FINITE", "scan.ply", points(XYZ * np.nan)),
     "1e30": Bad("CAPTURE_NOT_FINITE", "scan.ply", points(XYZ * 1e30)),
     "12 points": Bad("CAPTURE_TOO_FEW_POINTS", "scan.ply", points(XYZ[:12])),
     "all points equal": Bad("CAPTURE_DEGENERATE", "scan.ply", points(np.tile(XYZ[:1], (1000, 1)))),

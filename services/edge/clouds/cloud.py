@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,14 @@ from numpy.typing import NDArray
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder, translate_errors
 from capture2vr.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
-from capture2vr.edge.clouds.cloud_parts import MAX_BAD_SHARE, MAX_COORDINATE, dropped_warning, read_some, valid_mask
+from capture2vr.edge.clouds.cloud_parts import (
+    MAX_BAD_SHARE,
+    MAX_COORDINATE,
+    dropped_warnings,
+    read_some,
+    returned,
+    valid_mask,
+)
 from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_warning
 from capture2vr.edge.clouds.meshes import read_mesh
 from capture2vr.edge.clouds.obj import read_obj
@@ -21,6 +29,7 @@ from capture2vr.edge.clouds.ply import ply_parts, read_ply
 from capture2vr.edge.clouds.raw_parts import RawParts
 from capture2vr.edge.clouds.sample_surface import SampledSurface, sample_surfaces
 from capture2vr.edge.clouds.surface_colours import vertex_colours
+from capture2vr.edge.clouds.table_text import decode_head
 from capture2vr.edge.clouds.tables import MAX_POINTS, looks_numeric, npy_parts, read_npy, read_table, too_many_points
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
@@ -86,7 +95,7 @@ def _by_magic(head: bytes) -> str | None:
 
 def _by_text(head: bytes) -> str | None:
     """Return the text format (gltf, off, stl, obj, xyz) that the first bytes look like, or None."""
-    text = head.decode("utf-8-sig", errors="replace")
+    text = decode_head(head)
     if "\0" in text or text.count("�") > len(text) // 100:
         return None
     start = text.lstrip()
@@ -98,7 +107,7 @@ def _by_text(head: bytes) -> str | None:
         return "stl"
     if re.search(r"^[ \t]*v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]\S*[ \t]+[-+.\dna]", text, re.M | re.I):
         return "obj"
-    return "xyz" if looks_numeric(text[: text.rfind("\n")] if len(head) == _SNIFF_BYTES else text) else None
+    return "xyz" if looks_numeric(head, whole=len(head) < _SNIFF_BYTES) else None
 
 
 def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
@@ -109,6 +118,11 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
     if (parts := _parts(folder, name, kind)) is not None:
         some, whole, warnings = read_some(parts, name, folder.tick)
         return _capture(kind, name, some, warnings, whole)
+    if kind == "xyz":
+        _check_size(folder.path(name), name, kind)
+        cloud, warnings, metres = read_table(folder.path(name), name)
+        read = capture_of_cloud(cloud, name, kind, warnings)
+        return read if metres is None else replace(read, metres_per_unit=metres, scale_confidence="metric")
     cloud, warnings = _read(folder, name, kind)
     return capture_of_cloud(cloud, name, kind, warnings)
 
@@ -121,7 +135,7 @@ def capture_of_cloud(cloud: Cloud, name: str, kind: str, warnings: tuple[str, ..
     """
     if len(cloud.xyz) > MAX_POINTS:
         raise too_many_points(len(cloud.xyz), name)
-    (xyz,), moved = _near_origin([cloud.xyz], name)
+    (xyz,), moved = _near_origin([returned(cloud.xyz)], name)
     cloud, dropped = _drop_invalid(replace(cloud, xyz=xyz), name)
     return _capture(kind, name, cloud, (*warnings, *moved, *dropped))
 
@@ -161,9 +175,7 @@ def _too_many_bytes(name: str, kind: str, limit: int) -> CaptureError:
 def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]:
     """Read one file of format `kind`: its points, or points sampled on its triangles, and warnings."""
     path = folder.path(name)
-    limit = _MAX_BYTES.get(kind, MAX_BYTES)
-    if path.stat().st_size > limit:
-        raise _too_many_bytes(name, kind, limit)
+    _check_size(path, name, kind)
     if kind == "e57":
         from capture2vr.edge.clouds.e57 import read_e57
 
@@ -194,7 +206,14 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
             )
         sampled, dropped = _sample_mesh(surfaces, name)
         return sampled, (*absent, *dropped)
-    return {"pcd": read_pcd, "npy": read_npy, "xyz": read_table}[kind](path, name), ()
+    return {"pcd": read_pcd, "npy": read_npy}[kind](path, name), ()
+
+
+def _check_size(path: Path, name: str, kind: str) -> None:
+    """Raise CAPTURE_TOO_LARGE for a file of more bytes than are read of its format."""
+    limit = _MAX_BYTES.get(kind, MAX_BYTES)
+    if path.stat().st_size > limit:
+        raise _too_many_bytes(name, kind, limit)
 
 
 def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tuple[str, ...]]:
@@ -229,12 +248,9 @@ def _near_origin(parts: Sequence[Floats], name: str) -> tuple[list[Floats], tupl
 
 
 def _drop_invalid(cloud: Cloud, name: str) -> tuple[Cloud, tuple[str, ...]]:
-    """Remove invalid points; return the cloud and a warning. Raises CAPTURE_NOT_FINITE above MAX_BAD_SHARE."""
-    good = valid_mask(cloud.xyz)
-    bad = len(good) - int(good.sum())
-    if bad == 0:
-        return cloud, ()
-    return cloud.subset(good), (dropped_warning(bad, len(good), name),)
+    """Remove invalid points; return the cloud and a warning. Raises CAPTURE_NOT_FINITE as `dropped_warnings`."""
+    warnings = dropped_warnings(cloud.xyz, name)
+    return cloud.subset(valid_mask(cloud.xyz)) if warnings else cloud, warnings
 
 
 def _check_shape(xyz: Floats, name: str) -> None:

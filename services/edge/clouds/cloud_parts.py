@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,9 @@ from capture2vr.sentences.sentence import say
 MAX_COORDINATE = 1e6
 """Units from the origin; beyond it float32 steps are 6 cm, and 1e30 is a broken file."""
 MAX_BAD_SHARE = 0.1
-"""Share of the points that may be invalid; they are dropped with a warning."""
+"""Share of the points that may lie beyond MAX_COORDINATE; they are dropped with a warning."""
+_ZEROS = 3
+"""Points at exactly (0, 0, 0) from which on they are what a scanner writes where nothing came back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +40,24 @@ def valid_mask(xyz: Floats) -> Bools:
         return np.asarray((np.abs(xyz) <= MAX_COORDINATE).all(axis=1))
 
 
-def dropped_warning(bad: int, count: int, name: str) -> str:
-    """Return the warning that so many points were dropped. Raises CAPTURE_NOT_FINITE above MAX_BAD_SHARE."""
-    what = say("points_have_coordinates_not_finite", bad=bad, count=count, most=MAX_COORDINATE)
-    if bad > MAX_BAD_SHARE * count:
+def returned(xyz: Floats) -> Floats:
+    """Return coordinates (N,3) with NaN where a scanner saw nothing, which some of them write as (0, 0, 0)."""
+    nothing = np.asarray(~xyz.any(axis=1))
+    return np.where(nothing[:, None], np.nan, xyz) if nothing.sum() >= _ZEROS else xyz
+
+
+def dropped_warnings(xyz: Floats, name: str) -> tuple[str, ...]:
+    """Say how many of the points (N,3) are dropped as invalid. Those without a return may be any share of a scan.
+
+    Raises CAPTURE_NOT_FINITE where none is left, or more than MAX_BAD_SHARE lie too far away.
+    """
+    bad, empty = int((~valid_mask(xyz)).sum()), int((~np.isfinite(xyz).all(axis=1)).sum())
+    if not bad:
+        return ()
+    what = say("points_have_coordinates_not_finite", bad=bad, count=len(xyz), most=MAX_COORDINATE)
+    if bad == len(xyz) or bad - empty > MAX_BAD_SHARE * len(xyz):
         raise CaptureError("CAPTURE_NOT_FINITE", what, file=name, hints=(say("export_capture_again_in_metres"),))
-    return say("these_points_dropped", file=name, what=what)
+    return (say("these_points_dropped", file=name, what=what),)
 
 
 def read_some(parts: RawParts, name: str, tick: Tick) -> tuple[Cloud, CloudParts, tuple[str, ...]]:
@@ -61,9 +75,7 @@ def read_some(parts: RawParts, name: str, tick: Tick) -> tuple[Cloud, CloudParts
     origin = georeferenced_origin(survey.low, survey.high)
     warnings = parts.warnings if origin is None else (*parts.warnings, moved_warning(origin, name))
     clean = _Clean(np.zeros(3) if origin is None else origin, survey)
-    good = int(valid_mask(some.xyz - clean.origin).sum())
-    if good < len(some.xyz):
-        warnings += (dropped_warning(len(some.xyz) - good, len(some.xyz), name),)
+    warnings += dropped_warnings(some.xyz - clean.origin, name)
     return clean(some), CloudParts(parts.count, lambda: map(clean, _translated(parts, name))), warnings
 
 
@@ -105,4 +117,4 @@ def _joined(surveys: list[_Survey]) -> _Survey:
 
 def _translated(parts: RawParts, name: str) -> Iterator[RawPart]:
     with translate_errors(name, "point cloud"):
-        yield from parts.read()
+        yield from (replace(part, xyz=returned(part.xyz)) for part in parts.read())

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +15,27 @@ from capture2vr.edge.capture.files import translate_errors, unreadable
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.capture.npy_array import npy_array
 from capture2vr.edge.clouds.colours import rgb8
+from capture2vr.edge.clouds.column_names import meanings
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
-from capture2vr.edge.clouds.unnamed_columns import column_layout
+from capture2vr.edge.clouds.table_columns import COMMENTS, Columns, named_by, without_names
+from capture2vr.edge.clouds.table_dialect import Dialect, dialect_of, width_of
+from capture2vr.edge.clouds.table_rows import RowReader
+from capture2vr.edge.clouds.table_text import decode_head, encoding_of, pieces
+from capture2vr.edge.clouds.unnamed_columns import MOST_COLUMNS, column_layout
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
 MAX_PARTED_POINTS = 200_000_000  # of files that are read in parts: 8 bytes each while a scene is sorted into tiles
 MAX_POINTS = 20_000_000  # 20 million points of 24 bytes are 480 MB; a phone's scan has one to five million
 _MAX_LINE = 10_000  # characters: NumPy takes 2.5 µs for each number, and a scan has tens of columns at most
-_HEAD_BYTES = 2**16  # of a table, in which comments above the rows are looked for
+_HEAD_BYTES = 2**16  # of a table, by which its encoding is told
+_LOOKED_AT = 400  # lines by which it is told how rows are written, and what their columns are
+_ENOUGH_ROWS, _ENOUGH_NAMED = 0.9, 0.6
+"""Shares of a text's lines, from the first row on, that are rows in a table; the other one where its columns have the
+names of coordinates."""
 _XYZ = ("x", "y", "z")
-_RGB = (("red", "green", "blue"), ("r", "g", "b"), ("rf", "gf", "bf"))  # the last are CloudCompare's, of 0 to 1
-_NORMAL = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
+_RGB = (("red", "green", "blue"), ("rf", "gf", "bf"))  # the last are CloudCompare's, of 0 to 1
+_NORMAL = (("nx", "ny", "nz"),)
 
 
 def too_many_points(count: int, file: str, most: int = MAX_POINTS) -> CaptureError:
@@ -75,111 +84,153 @@ def npy_parts(path: Path, file: str) -> RawParts | None:
 
 def raw_columns(columns: dict[str, NDArray[Any]], file: str) -> RawPart:
     """Return coordinates and raw colours of named columns of equal length."""
-    _require_xyz(columns, file)
+    columns = _by_meaning(columns, file)
     return RawPart(np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1), _first_present(columns, _RGB))
 
 
-def looks_numeric(head: str) -> bool:
-    """Return whether a text starts with rows of at least three numbers, after comments and one header line."""
-    lines = [line for line in head.splitlines()[:40] if line.strip() and not line.lstrip().startswith(("#", "//"))]
-    rows = [_is_row(line) for line in lines[1:20]]
-    return all(rows) if rows else bool(lines) and _is_row(lines[0])
-
-
-def _is_row(line: str) -> bool:
-    fields = _split(line)
-    return len(fields) >= 3 and all(is_number(field) for field in fields[:3])
-
-
-def _split(line: str) -> list[str]:
-    if ";" in line:
-        line = line.replace(",", ".")
-    return re.split(r"[\s,;]+", line.strip(" \t\r\n,;"))
-
-
-def is_number(text: str) -> bool:
-    """Return whether a text is a number, as Python reads it."""
-    try:
-        float(text)
-    except ValueError:
+def looks_numeric(head: bytes, *, whole: bool) -> bool:
+    """Return whether a text is a table of points: most of its first lines are rows of at least three numbers, all but
+    remarks and a header. whole: whether `head` is all of it, or its last line may be cut off"""
+    text = decode_head(head)
+    lines = (text if whole else text[: text.rfind("\n")]).split("\n")[: 2 * _LOOKED_AT]
+    if "\0" in text or max(map(len, lines)) > _MAX_LINE or (dialect := dialect_of(_without_remarks(lines))) is None:
         return False
-    return True
+    at = next(number for number, line in enumerate(lines) if dialect.is_row(line))
+    rows = _without_remarks(lines[at:])
+    named, _ = named_by(lines[:at], dialect, width_of(dialect, rows))
+    return sum(map(dialect.is_row, rows)) >= (_ENOUGH_NAMED if named else _ENOUGH_ROWS) * len(rows)
 
 
-def read_table(path: Path, file: str) -> Cloud:
-    """Read a point cloud from rows of numbers. A header line names the columns, also where it is a comment.
+def read_table(path: Path, file: str) -> tuple[Cloud, tuple[str, ...], float | None]:
+    """Read a point cloud from rows of numbers: the cloud, warnings, and the metres of the unit that its header names.
 
-    Without one the first three columns are x, y and z; what the others are is told by `column_layout`.
+    The encoding, the separator and the decimal mark are told by the rows. A header line names the columns, also where
+    it is a remark. Without one the first three columns of numbers are x, y and z, but for leading ones that count; what
+    the others are is told by `column_layout`.
     """
-    lines = _rows(path.read_bytes())
-    if len(lines) > MAX_POINTS:
-        raise too_many_points(len(lines), file)
+    with translate_errors(file, "table of numbers"):
+        layout = _layout_of(path, file)
+        reader = RowReader(layout.dialect, layout.used, COMMENTS)
+        table = _read_rows(reader, path, layout, file)
+    columns = layout.columns
+    cloud = _of_columns(table, columns) if columns else _unnamed_columns(table, counted=layout.counted)
+    return cloud, _notes(reader, len(table), file), columns.metres if columns else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How a table is written.
+
+    encoding, mark  of its text, and how many bytes mark it
+    dialect         of its rows, the first of which is line `first`
+    columns         that its header names; None without one
+    used            the numbers of the columns that are read
+    counted         whether the number of points stands above the rows, as in a .pts
+    """
+
+    encoding: str
+    mark: int
+    dialect: Dialect
+    first: int
+    columns: Columns | None
+    used: tuple[int, ...]
+    counted: bool
+
+
+def _layout_of(path: Path, file: str) -> _Layout:
+    """Tell how a table is written by its first lines. Raises CaptureError where that is no table of points."""
+    encoding, mark = encoding_of(_head(path))
+    lines = _first_lines(path, encoding, mark, file)
+    dialect = dialect_of(_without_remarks(lines))
+    if dialect is None:
+        raise _no_rows(lines, file)
+    first = next(number for number, line in enumerate(lines) if dialect.is_row(line))
+    header, below = lines[:first], [line for line in lines[first:] if dialect.is_row(line)]
+    columns, names = named_by(header, dialect, width_of(dialect, below))
+    if columns is None and names:
+        raise _no_coordinates(names, file)
+    used = columns.used if columns else without_names([dialect.fields(line) for line in below], dialect)[:MOST_COLUMNS]
+    if len(used) < 3:
+        raise unreadable(file, say("has_columns_points_need_least", count=len(used)))
+    return _Layout(encoding, mark, dialect, first, columns, used, any(line.strip().isdigit() for line in header))
+
+
+def _no_coordinates(names: Sequence[str], file: str) -> CaptureError:
+    """Return the error for a header that names no x, y and z."""
+    if "latitude" in names:
+        hint = say("project_degrees_to_metres")
+        return CaptureError("CAPTURE_UNREADABLE", say("has_coordinates_in_degrees"), file=file, hints=(hint,))
+    return unreadable(file, say("has_no_columns_x_y", names=", ".join(names[:12])))
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(_HEAD_BYTES)
+
+
+def _first_lines(path: Path, encoding: str, mark: int, file: str) -> list[str]:
+    """Return the first lines of a table, the last of which may be cut off where there are more."""
+    text = next(pieces(path, encoding, mark), "")
+    lines = text[: _MAX_LINE * _LOOKED_AT].split("\n")[: 2 * _LOOKED_AT]
+    if not any(line.strip() for line in lines):
+        raise CaptureError("CAPTURE_EMPTY", say("has_no_rows_numbers"), file=file, hints=(say("export_capture_again"),))
     if (longest := max(map(len, lines), default=0)) > _MAX_LINE:
         raise unreadable(file, say("has_line_characters_rows_numbers", length=longest, most=_MAX_LINE))
-    counted = _drop_point_count(lines)
-    names = _column_names(lines, file)
-    with translate_errors(file, "table of numbers"):
-        table = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
-    if table.shape[1] < 3:
-        raise unreadable(file, say("has_columns_points_need_least", count=table.shape[1]))
-    names = names or _commented_names(path, table.shape[1])
-    if names is None:
-        return _unnamed_columns(table, counted=counted)
-    return named_columns({name: table[:, column] for column, name in enumerate(names[: table.shape[1]])}, file)
+    return lines
 
 
-def _rows(data: bytes) -> list[str]:
-    """Return the data lines with blanks as separators. Decimal commas work when semicolons separate the fields."""
-    text = data.decode("latin-1").removeprefix("\xef\xbb\xbf")
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    if ";" in first:
-        text = text.replace(",", ".").replace(";", " ")
-    text = text.replace(",", " ").replace("//", "#")
-    return [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+def _without_remarks(lines: Sequence[str]) -> list[str]:
+    """Return lines without empty ones, remarks, and those in which the number of points stands."""
+    return [line for line in lines if (bare := line.strip()) and not bare.startswith(COMMENTS) and not bare.isdigit()]
 
 
-def _drop_point_count(lines: list[str]) -> bool:
-    """Remove the point count that a .pts begins with from `lines`; return whether there was one."""
-    if len(lines) < 2 or not lines[0].strip().isdigit():
-        return False
-    del lines[0]
-    return True
+def _no_rows(lines: Sequence[str], file: str) -> CaptureError:
+    """Return the error for lines none of which is a row of three numbers."""
+    rows = _without_remarks(lines)
+    if not rows:
+        return CaptureError("CAPTURE_EMPTY", say("has_no_rows_numbers"), file=file)
+    if len(rows) == 1:
+        return CaptureError("CAPTURE_EMPTY", say("has_header_line"), file=file)
+    return unreadable(file, say("has_no_rows_of_three_numbers"))
 
 
-def _column_names(lines: list[str], file: str) -> list[str] | None:
-    """Remove the header line from `lines`; return the column names that it has, or None without one."""
-    first = lines[0].split() if lines else []
-    if not first:
-        raise CaptureError("CAPTURE_EMPTY", say("has_no_rows_numbers"), file=file, hints=(say("export_capture_again"),))
-    if all(is_number(field) for field in first):
-        return None
-    del lines[0]
-    if not lines:
-        raise CaptureError("CAPTURE_EMPTY", say("has_header_line"), file=file)
-    return [name.strip('"').lower() for name in first]
+def _read_rows(reader: RowReader, path: Path, layout: _Layout, file: str) -> Floats:
+    """Read all rows of a table piece by piece. Raises CAPTURE_TOO_LARGE, and for a long line."""
+    tables: list[Floats] = []
+    count = 0
+    for number, text in enumerate(pieces(path, layout.encoding, layout.mark)):
+        text = text if number else text.split("\n", layout.first)[-1]
+        if len(text) > _MAX_LINE and (longest := max(map(len, text.split("\n")))) > _MAX_LINE:
+            raise unreadable(file, say("has_line_characters_rows_numbers", length=longest, most=_MAX_LINE))
+        tables.append(reader.read(text))
+        count += len(tables[-1])
+        if count > MAX_POINTS:
+            raise too_many_points(count, file)
+    return np.concatenate(tables)
 
 
-def _commented_names(path: Path, columns: int) -> list[str] | None:
-    """Return the column names of a comment above the rows, as CloudCompare and NumPy write them, or None.
+def _of_columns(table: Floats, columns: Columns) -> Cloud:
+    """Make a cloud of a table that has the columns in the order of `Columns.used`."""
+    at = 3 + len(columns.rgb)
+    rgb = rgb8(table[:, 3:at]) if columns.rgb else None
+    return Cloud(table[:, :3], rgb, unit_normals(table[:, at : at + 3]) if columns.normals else None)
 
-    It has a name for every column, x, y and z among them: a sentence about x, y and z names no columns.
-    """
-    with path.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
-    for line in filter(None, map(str.strip, head.splitlines())):
-        if not line.startswith(("#", "//")):
-            return None
-        words = line.lstrip("#/").strip(" \t,;").lower()
-        separator = next((each for each in ";,\t" if each in words), None)  # names may have blanks, "Scalar field"
-        names = [name.strip(' "') for name in words.split(separator)]
-        if len(names) == columns and {*_XYZ} <= {*names}:
-            return names
-    return None
+
+def _notes(reader: RowReader, count: int, file: str) -> tuple[str, ...]:
+    """Say what was taken for what, where that is not plain: x, y and z in front, with decimal points."""
+    notes = []
+    x, y, z = reader.used[:3]
+    if (x, y, z) != (0, 1, 2) or reader.dialect.decimal == ",":
+        marks = say("decimal_commas") if reader.dialect.decimal == "," else say("decimal_points")
+        notes.append(say("columns_taken", file=file, x=x + 1, y=y + 1, z=z + 1, marks=marks))
+    if reader.dropped:
+        notes.append(say("rows_without_numbers_left_out", file=file, count=reader.dropped, rows=count + reader.dropped))
+    return tuple(notes)
 
 
 def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
     """Make a cloud from named columns of equal length; PLY, PCD, .npy and tables share these names."""
-    _require_xyz(columns, file)
+    columns = _by_meaning(columns, file)
     xyz = np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1)
     colours = _first_present(columns, _RGB)
     normals = _first_present(columns, _NORMAL)
@@ -190,9 +241,12 @@ def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
     )
 
 
-def _require_xyz(columns: dict[str, NDArray[Any]], file: str) -> None:
-    if not all(name in columns for name in _XYZ):
+def _by_meaning(columns: dict[str, NDArray[Any]], file: str) -> dict[str, NDArray[Any]]:
+    """Return the columns by what they are. Raises CAPTURE_UNREADABLE without x, y and z."""
+    found = dict(zip(meanings(list(columns)), columns.values(), strict=True))
+    if not all(name in found for name in _XYZ):
         raise unreadable(file, say("has_no_columns_x_y", names=", ".join(list(columns)[:12])))
+    return found
 
 
 def _first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, ...], ...]) -> NDArray[Any] | None:

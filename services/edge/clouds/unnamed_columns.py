@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from capture2vr.edge.arrays import Floats
 
 _SAMPLE = 10_000  # rows that are looked at, evenly spaced; a file that is read in parts is not read for this
-_MOST_COLUMNS = 10  # that are looked at: x y z, an intensity, colours and normals
+MOST_COLUMNS = 10  # that are looked at: x y z, an intensity, colours and normals
 _LIKER = 0.2  # by which one correlation is surely higher: red and green have 0.9 and more, red and intensity 0.5
 
 
@@ -34,7 +34,7 @@ def column_layout(table: NDArray[Any], *, counted: bool = False) -> ColumnLayout
     counted: the number of points stands in the first line, as in a .pts, whose rows are x y z, intensity, colour
     """
     width = table.shape[1]
-    some = np.asarray(table[:: max(1, len(table) // _SAMPLE), :_MOST_COLUMNS], np.float64)
+    some = np.asarray(table[:: max(1, len(table) // _SAMPLE), :MOST_COLUMNS], np.float64)
     usual = (4, 7) if width in (7, 10) else (3, 6)
     starts = [at for at in (*usual, 3, 6, 4, 7) if at + 3 <= some.shape[1]]
     normals = next((at for at in starts if _unit_length(some[:, at : at + 3])), None)

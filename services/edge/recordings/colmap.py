@@ -25,7 +25,6 @@ from capture2vr.edge.capture.nouns import Capture, Intrinsics, Photo
 from capture2vr.edge.capture.photos import read_photo
 from capture2vr.edge.capture.posed_photos import GivenCamera, posed_capture, unlisted_warning, with_camera
 from capture2vr.edge.capture.poses import pose_from_quaternion
-from capture2vr.edge.clouds.tables import is_number
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
@@ -197,10 +196,10 @@ def _is_pose_line(line: str) -> bool:
     Observations are numbers in threes, which may be whole numbers too.
     """
     words = line.split(None, 9)
-    if len(words) < 10 or not (_is_whole(words[0]) and _is_whole(words[8]) and all(map(is_number, words[1:8]))):
+    if len(words) < 10 or not (_is_whole(words[0]) and _is_whole(words[8]) and all(map(_is_number, words[1:8]))):
         return False
     name = words[9].split()
-    return len(name) % 3 != 0 or not all(map(is_number, name))
+    return len(name) % 3 != 0 or not all(map(_is_number, name))
 
 
 def _image_line(line: str, file: str) -> _Image:
@@ -214,6 +213,14 @@ def _split_fields(line: str, least: int, splits: int | None, file: str) -> list[
     if len(words) < least:
         raise unreadable(file, say("has_line_fields_where_least", count=len(words), least=least, line=repr(line[:60])))
     return words
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _is_whole(word: str) -> bool:

@@ -1,0 +1,97 @@
+"""Read the rows of a table into numbers: fast where they are as the others are, and one by one where they are not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from capture2vr.edge.arrays import Floats
+from capture2vr.edge.clouds.table_dialect import Dialect
+
+_BLOCK = 500  # lines that are read one by one where one of them is odd
+_NO_NUMBER = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.I)
+"""What Microsoft's C library prints for NaN and infinity."""
+
+
+@dataclass
+class RowReader:
+    """Reads the columns `used` of rows in one dialect; rows that have no numbers for the first three are left out.
+
+    dropped  lines that were left out so far, but for empty ones, remarks, and lines that a count of points stands in
+    """
+
+    dialect: Dialect
+    used: Sequence[int]
+    remarks: tuple[str, ...]
+    dropped: int = 0
+    _separator: str | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._separator = self.dialect.separator.strip(" ") or None
+
+    def read(self, text: str) -> Floats:
+        """Return the numbers (N, used) of the rows in a piece of the table; NaN where one is missing."""
+        text = _NO_NUMBER.sub("nan", text) if "#" in text or "(" in text else text
+        lines = text.split("\n")
+        if (whole := self._fast(lines)) is not None:
+            return whole
+        blocks = [lines[start : start + _BLOCK] for start in range(0, len(lines), _BLOCK)]
+        found = [self._fast(block) for block in blocks]
+        read = [self._by_line(block) if rows is None else rows for rows, block in zip(found, blocks, strict=True)]
+        return np.concatenate(read)
+
+    def _fast(self, lines: Sequence[str]) -> Floats | None:
+        """Return the numbers of lines that all are rows; None where one is not."""
+        dialect = self.dialect
+        if not any(map(str.strip, lines)):
+            return np.empty((0, len(self.used)))
+        if dialect.quoted and dialect.separator == "," and dialect.decimal == ",":
+            return None
+        try:
+            return np.loadtxt(
+                self._plain(lines),
+                np.float64,
+                comments=None,
+                delimiter=self._separator,
+                usecols=self.used,
+                ndmin=2,
+                quotechar='"' if dialect.quoted else None,
+            )
+        except ValueError:
+            return None
+
+    def _plain(self, lines: Sequence[str]) -> Iterable[str]:
+        """Return lines with separators and numbers as NumPy reads them."""
+        dialect = self.dialect
+        if dialect.separator == "":
+            return (line.replace(",", " ").replace(";", " ") for line in lines)
+        if dialect.decimal == "," or (dialect.separator != "," and any("," in line for line in lines[:_BLOCK])):
+            return map(dialect.as_python, lines)
+        return lines
+
+    def _by_line(self, lines: Sequence[str]) -> Floats:
+        rows = list(self._rows(lines))
+        return np.array(rows, np.float64).reshape(len(rows), len(self.used))
+
+    def _rows(self, lines: Sequence[str]) -> Iterator[list[float]]:
+        for line in lines:
+            if not (text := line.strip()) or text.startswith(self.remarks) or text.isdigit():
+                continue
+            fields = self.dialect.fields(line)
+            row = [self._number(fields[column]) if column < len(fields) else None for column in self.used]
+            if None in row[:3]:
+                self.dropped += 1
+            else:
+                yield [np.nan if each is None else each for each in row]
+
+    def _number(self, text: str) -> float | None:
+        """Return a field's number; NaN where it is empty or says that there is none; None where it is a text."""
+        if not text or text.lower() in ("na", "n/a", "null", "none", "-", "nodata"):
+            return np.nan
+        try:
+            return float(self.dialect.as_python(text).replace("d", "e").replace("D", "e"))
+        except ValueError:
+            return None
