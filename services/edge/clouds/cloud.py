@@ -161,6 +161,7 @@ def _parts(folder: Folder, name: str, kind: str) -> RawParts | None:
 def _capture(kind: str, name: str, cloud: Cloud, warnings: tuple[str, ...], whole: CloudParts | None = None) -> Capture:
     """Return the capture of a cloud whose points are valid, in the frame of its format. Raises CAPTURE_DEGENERATE."""
     _check_shape(cloud.xyz, name)
+    warnings += tuple(say("file_note", file=name, note=note) for note in cloud.notes)
     frame = _FRAMES.get(kind, _Frame())
     up = None if frame.up is None else np.array(frame.up)
     return Capture("points", kind, cloud=cloud, whole=whole, scale_confidence=frame.scale, up=up, warnings=warnings)

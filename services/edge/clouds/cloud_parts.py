@@ -11,7 +11,7 @@ from capture2vr.edge.arrays import Bools, Floats, Tick
 from capture2vr.edge.capture.files import translate_errors
 from capture2vr.edge.capture.nouns import Cloud, CloudParts
 from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_warning
-from capture2vr.edge.clouds.colours import rgb8, scale_of
+from capture2vr.edge.clouds.colours import read_colours, rgb8, scale_of
 from capture2vr.edge.clouds.raw_parts import LARGE, RawPart, RawParts
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
@@ -26,11 +26,10 @@ _ZEROS = 3
 
 @dataclass(frozen=True, slots=True)
 class _Survey:
-    """What one reading of all points found: least and greatest finite coordinates (3,), and the greatest colour."""
+    """What one reading of all points found: least and greatest finite coordinates (3,), and if all are coloured."""
 
     low: Floats
     high: Floats
-    top: float
     coloured: bool
 
 
@@ -74,23 +73,32 @@ def read_some(parts: RawParts, name: str, tick: Tick) -> tuple[Cloud, CloudParts
     )
     origin = georeferenced_origin(survey.low, survey.high)
     warnings = parts.warnings if origin is None else (*parts.warnings, moved_warning(origin, name))
-    clean = _Clean(np.zeros(3) if origin is None else origin, survey)
+    rgb, notes = read_colours(some.colours)
+    scale = None if rgb is None or some.colours is None else scale_of(some.colours)
+    clean = _Clean(np.zeros(3) if origin is None else origin, scale)
     warnings += dropped_warnings(some.xyz - clean.origin, name)
-    return clean(some), CloudParts(parts.count, lambda: map(clean, _translated(parts, name))), warnings
+    return (
+        replace(clean(some), notes=notes),
+        CloudParts(parts.count, lambda: map(clean, _translated(parts, name))),
+        warnings,
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class _Clean:
-    """Turns a part as stored into a cloud: near the origin, without invalid points, with 8-bit colours."""
+    """Turns a part as stored into a cloud: near the origin, without invalid points, with 8-bit colours.
+
+    scale  of the colours; None: there are none, or they were never filled
+    """
 
     origin: Floats
-    survey: _Survey
+    scale: float | None
 
     def __call__(self, part: RawPart) -> Cloud:
         xyz = part.xyz - self.origin
         colours = None
-        if part.colours is not None and self.survey.coloured:
-            colours = rgb8(part.colours, scale_of(self.survey.top, part.colours.dtype))
+        if part.colours is not None and self.scale is not None:
+            colours = rgb8(part.colours, self.scale)
         return Cloud(xyz, colours).subset(valid_mask(xyz))
 
 
@@ -101,16 +109,14 @@ def _look_at(part: RawPart, step: int, tick: Tick) -> tuple[_Survey, RawPart]:
         finite = part.xyz[np.isfinite(part.xyz).all(axis=1)]
     low, high = finite.min(axis=0, initial=np.inf), finite.max(axis=0, initial=-np.inf)
     colours = part.colours
-    top = 0.0 if colours is None else float(np.nan_to_num(colours, posinf=0.0).max(initial=0))
     picked = RawPart(part.xyz[::step].copy(), None if colours is None else colours[::step].copy())
-    return _Survey(low, high, top, colours is not None), picked
+    return _Survey(low, high, colours is not None), picked
 
 
 def _joined(surveys: list[_Survey]) -> _Survey:
     return _Survey(
         np.min([each.low for each in surveys], axis=0),
         np.max([each.high for each in surveys], axis=0),
-        max(each.top for each in surveys),
         all(each.coloured for each in surveys),
     )
 

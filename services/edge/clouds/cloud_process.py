@@ -16,7 +16,7 @@ from capture2vr.edge.arrays import Floats, Tick
 from capture2vr.edge.capture.files import unreadable
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.child_process import ChildError, run_child
-from capture2vr.edge.clouds.colours import rgb8
+from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.raw_parts import PART, RawPart, RawParts
 from capture2vr.edge.clouds.tables import MAX_POINTS
 from capture2vr.edge.errors import CaptureError
@@ -97,11 +97,11 @@ def _rows(path: Path, start: int) -> NDArray[Any]:
 def near_origin(xyz: Floats, rgb: NDArray[Any] | None, file: str) -> tuple[Cloud, tuple[str, ...]]:
     """Return the cloud and warnings; georeferenced coordinates (N,3) are moved near the origin to keep precision."""
     finite = xyz[np.isfinite(xyz).all(axis=1)]
-    colours = None if rgb is None else rgb8(rgb)
+    colours, notes = read_colours(rgb)
     origin = georeferenced_origin(finite.min(axis=0), finite.max(axis=0)) if len(finite) else None
     if origin is None:
-        return Cloud(xyz, colours), ()
-    return Cloud(xyz - origin, colours), (moved_warning(origin, file),)
+        return Cloud(xyz, colours, notes=notes), ()
+    return Cloud(xyz - origin, colours, notes=notes), (moved_warning(origin, file),)
 
 
 def georeferenced_origin(low: Floats, high: Floats) -> Floats | None:

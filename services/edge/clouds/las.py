@@ -128,7 +128,10 @@ def iter_points(path: Path) -> Iterator[tuple[Floats, NDArray[Any] | None]]:
 
 
 def _columns(chunk: Any) -> tuple[Floats, NDArray[Any] | None]:
+    """Return a chunk's points and colours; where these were never filled its intensities, as grey."""
     xyz = np.stack([np.asarray(chunk.x), np.asarray(chunk.y), np.asarray(chunk.z)], axis=1)
-    if "red" not in set(chunk.point_format.dimension_names):
-        return xyz, None
-    return xyz, np.stack([np.asarray(chunk.red), np.asarray(chunk.green), np.asarray(chunk.blue)], axis=1)
+    if "red" in set(chunk.point_format.dimension_names):
+        colours = np.stack([np.asarray(chunk.red), np.asarray(chunk.green), np.asarray(chunk.blue)], axis=1)
+        if colours.any():
+            return xyz, colours
+    return xyz, np.repeat(np.asarray(chunk.intensity)[:, None], 3, axis=1)

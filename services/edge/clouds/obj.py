@@ -21,7 +21,7 @@ from capture2vr.edge.arrays import Floats, Ints, Tick
 from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
 from capture2vr.edge.capture.images import check_header, header_size, read_bytes
 from capture2vr.edge.capture.nouns import Cloud
-from capture2vr.edge.clouds.colours import rgb8
+from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.mtl import Material, read_mtl
 from capture2vr.edge.clouds.obj_colours import ObjColours
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
@@ -57,8 +57,8 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
         faces, uv_faces, material = reader.triangles(len(vertices), len(coordinates))
     if len(vertices) == 0:
         raise unreadable(file, say("has_no_vertices"))
-    rgb = rgb8(vertices[:, 3:6]) if vertices.shape[1] >= 6 else None
-    cloud = Cloud(vertices[:, :3], rgb)
+    rgb, notes = read_colours(vertices[:, 3:6] if vertices.shape[1] >= 6 else None)
+    cloud = Cloud(vertices[:, :3], rgb, notes=notes)
     if len(faces) == 0:
         return ObjFile(cloud, None)
     known = _materials(folder, file, reader.libraries, frozenset(reader.materials))

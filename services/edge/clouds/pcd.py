@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from capture2vr.edge.capture.files import translate_errors, truncated, unreadable
 from capture2vr.edge.capture.nouns import Cloud
-from capture2vr.edge.clouds.colours import unpack_rgb
+from capture2vr.edge.clouds.colours import read_colours, unpack_rgb
 from capture2vr.edge.clouds.tables import MAX_POINTS, named_columns, too_many_points
 from capture2vr.sentences.sentence import say
 
@@ -180,4 +180,5 @@ def _with_colours(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
     cloud = named_columns(columns, file)
     if packed is None or packed.dtype.itemsize != 4:
         return cloud
-    return Cloud(cloud.xyz, unpack_rgb(np.ascontiguousarray(packed).view(np.uint32)), cloud.normals)
+    rgb, notes = read_colours(unpack_rgb(np.ascontiguousarray(packed).view(np.uint32)))
+    return cloud if rgb is None else Cloud(cloud.xyz, rgb, cloud.normals, notes)

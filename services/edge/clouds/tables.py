@@ -14,7 +14,7 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import translate_errors, unreadable
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.capture.npy_array import npy_array
-from capture2vr.edge.clouds.colours import rgb8
+from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.column_names import meanings
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
 from capture2vr.edge.clouds.table_columns import COMMENTS, Columns, named_by, without_names
@@ -212,8 +212,9 @@ def _read_rows(reader: RowReader, path: Path, layout: _Layout, file: str) -> Flo
 def _of_columns(table: Floats, columns: Columns) -> Cloud:
     """Make a cloud of a table that has the columns in the order of `Columns.used`."""
     at = 3 + len(columns.rgb)
-    rgb = rgb8(table[:, 3:at]) if columns.rgb else None
-    return Cloud(table[:, :3], rgb, unit_normals(table[:, at : at + 3]) if columns.normals else None)
+    intensity = None if columns.intensity is None else table[:, -1]
+    rgb, notes = read_colours(table[:, 3:at] if columns.rgb else None, intensity)
+    return Cloud(table[:, :3], rgb, unit_normals(table[:, at : at + 3]) if columns.normals else None, notes)
 
 
 def _notes(reader: RowReader, count: int, file: str) -> tuple[str, ...]:
@@ -234,11 +235,8 @@ def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
     xyz = np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1)
     colours = _first_present(columns, _RGB)
     normals = _first_present(columns, _NORMAL)
-    return Cloud(
-        xyz,
-        rgb8(colours) if colours is not None else None,
-        unit_normals(normals) if normals is not None else None,
-    )
+    rgb, notes = read_colours(colours, columns.get("intensity"))
+    return Cloud(xyz, rgb, unit_normals(normals) if normals is not None else None, notes)
 
 
 def _by_meaning(columns: dict[str, NDArray[Any]], file: str) -> dict[str, NDArray[Any]]:
@@ -260,12 +258,9 @@ def _first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, .
 def _unnamed_columns(table: Floats, *, counted: bool = False) -> Cloud:
     """Make a cloud from columns without names: x y z, then colours and normals, told apart by their values."""
     layout = column_layout(table, counted=counted)
-    rgb, normals = (None if at is None else table[:, at : at + 3] for at in layout)
-    return Cloud(
-        table[:, :3],
-        rgb8(rgb) if rgb is not None else None,
-        unit_normals(normals) if normals is not None else None,
-    )
+    colours, normals = (None if at is None else table[:, at : at + 3] for at in layout)
+    rgb, notes = read_colours(colours)
+    return Cloud(table[:, :3], rgb, unit_normals(normals) if normals is not None else None, notes)
 
 
 def unit_normals(vectors: NDArray[Any]) -> Floats:

@@ -173,13 +173,14 @@ def test_too_many_invalid_points_are_an_error() -> None:
     assert error.value.code == "CAPTURE_NOT_FINITE"
 
 
-def test_the_brightest_colour_of_all_parts_decides_the_range() -> None:
-    colours = np.full((900, 3), 200, np.uint16)
-    colours[-1] = 65_535
+@pytest.mark.parametrize(("bright", "expected"), [(100, 1), (1, 200)])
+def test_what_most_colours_of_all_parts_reach_decides_the_range(bright: int, expected: int) -> None:
+    colours = np.full((900, 3), (200, 200, 199), np.uint16)
+    colours[-bright:] = (65_535, 65_535, 65_534)
     _, whole, _ = read_some(raw(square(900), colours), "scan.las", no_tick)
     first = next(iter(whole.read()))
     assert first.rgb is not None
-    assert (first.rgb == 1).all()
+    assert (first.rgb[:, 0] == expected).all()
 
 
 def test_a_part_that_cannot_be_decoded_names_the_file() -> None:
