@@ -27,7 +27,6 @@ MOST_LINES = 300  # of a file
 LONG_FILES = {
     "cli/main.py",
     "edge/capture/frame_records.py",
-    "edge/clouds/ply.py",
     "gateway/backup/restore.py",
     "gateway/jobs/store.py",
     "gateway/routes/access.py",

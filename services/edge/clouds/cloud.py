@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder, translate_errors
@@ -22,20 +21,19 @@ from capture2vr.edge.clouds.cloud_parts import (
     valid_mask,
 )
 from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_warning
+from capture2vr.edge.clouds.cloud_shape import check_shape
 from capture2vr.edge.clouds.meshes import read_mesh
 from capture2vr.edge.clouds.obj import read_obj
 from capture2vr.edge.clouds.pcd import read_pcd
-from capture2vr.edge.clouds.ply import ply_parts, read_ply
+from capture2vr.edge.clouds.ply import PlyFile, ply_parts, read_ply
 from capture2vr.edge.clouds.raw_parts import RawParts
-from capture2vr.edge.clouds.sample_surface import SampledSurface, sample_surfaces
-from capture2vr.edge.clouds.surface_colours import vertex_colours
+from capture2vr.edge.clouds.sample_surface import ColourAt, SampledSurface, sample_surfaces
+from capture2vr.edge.clouds.surface_colours import face_colours, vertex_colours
 from capture2vr.edge.clouds.table_text import decode_head
 from capture2vr.edge.clouds.tables import MAX_POINTS, looks_numeric, npy_parts, read_npy, read_table, too_many_points
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
-MIN_DISTINCT = 100  # distinct points; fewer do not describe a surface
-MIN_SECOND_EXTENT = 1e-4  # of the first principal extent; below it all points lie on a line
 MAX_PARTED_BYTES = 2**33  # of a file that is read in parts
 MAX_BYTES = 2**31  # of a file: 20 million points of 100 bytes
 _MAX_BYTES = {
@@ -44,8 +42,6 @@ _MAX_BYTES = {
     "xyz": 2**30,
 }  # of text formats, which need many times their size to be parsed
 _SNIFF_BYTES = 2**16  # read of a file to detect its format
-# Hash multipliers: odd, hence invertible modulo 2^64, with the bits of the golden ratio and of the roots of 3 and 5.
-_ODD_FACTORS = np.array([0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B, 0x3C6EF372FE94F82B], np.uint64)
 _FAR_OFF = 100.0  # of a cloud's extent from the origin: below it float32 is exact to a hundred thousandth of that
 _SAMPLE = 100_000  # points used for the principal extents; fast also for a cloud of 20 million
 
@@ -160,7 +156,7 @@ def _parts(folder: Folder, name: str, kind: str) -> RawParts | None:
 
 def _capture(kind: str, name: str, cloud: Cloud, warnings: tuple[str, ...], whole: CloudParts | None = None) -> Capture:
     """Return the capture of a cloud whose points are valid, in the frame of its format. Raises CAPTURE_DEGENERATE."""
-    _check_shape(cloud.xyz, name)
+    check_shape(cloud.xyz, name)
     warnings += tuple(say("file_note", file=name, note=note) for note in cloud.notes)
     frame = _FRAMES.get(kind, _Frame())
     up = None if frame.up is None else np.array(frame.up)
@@ -186,13 +182,13 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
 
         return read_las(path, name, folder.tick)
     if kind == "ply":
-        cloud, faces, warnings = read_ply(path, name)
-        used = np.count_nonzero(np.bincount(faces.reshape(-1)))
-        if len(faces) == 0 or 2 * used < len(cloud.xyz):  # a cloud with a few stray faces is not a mesh
-            return cloud, warnings
-        colours = None if cloud.rgb is None else vertex_colours(cloud.rgb, faces)
-        sampled, dropped = _sample_mesh([SampledSurface(cloud.xyz, faces, colours)], name)
-        return sampled, (*warnings, *dropped)
+        read = read_ply(path, name)
+        used = np.count_nonzero(np.bincount(read.faces.reshape(-1)))
+        if len(read.faces) == 0 or 2 * used < len(read.cloud.xyz):  # a cloud with a few stray faces is not a mesh
+            return read.cloud, read.warnings
+        surface = SampledSurface(read.cloud.xyz, read.faces, _ply_colours(read))
+        sampled, dropped = _sample_mesh([surface], name)
+        return sampled, (*read.warnings, *dropped)
     if kind == "obj":
         obj = read_obj(folder, name)
         if obj.surface is None:
@@ -215,6 +211,13 @@ def _check_size(path: Path, name: str, kind: str) -> None:
     limit = _MAX_BYTES.get(kind, MAX_BYTES)
     if path.stat().st_size > limit:
         raise _too_many_bytes(name, kind, limit)
+
+
+def _ply_colours(read: PlyFile) -> ColourAt | None:
+    """Return the colours of a mesh: those of its vertices, else of its faces, if it has any."""
+    if read.cloud.rgb is not None:
+        return vertex_colours(read.cloud.rgb, read.faces)
+    return None if read.face_rgb is None else face_colours(read.face_rgb)
 
 
 def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tuple[str, ...]]:
@@ -252,44 +255,3 @@ def _drop_invalid(cloud: Cloud, name: str) -> tuple[Cloud, tuple[str, ...]]:
     """Remove invalid points; return the cloud and a warning. Raises CAPTURE_NOT_FINITE as `dropped_warnings`."""
     warnings = dropped_warnings(cloud.xyz, name)
     return cloud.subset(valid_mask(cloud.xyz)) if warnings else cloud, warnings
-
-
-def _check_shape(xyz: Floats, name: str) -> None:
-    """Raise CAPTURE_TOO_FEW_POINTS or CAPTURE_DEGENERATE for points that cannot describe a surface."""
-    hint = (say("walk_around_thing_scan_again"),)
-    if len(xyz) < MIN_DISTINCT:
-        what = say("has_only_points_least_needed", count=len(xyz), least=MIN_DISTINCT)
-        raise CaptureError("CAPTURE_TOO_FEW_POINTS", what, file=name, hints=hint)
-    if (xyz == xyz[0]).all():
-        what = say("has_all_points_same_position", count=len(xyz))
-        raise CaptureError("CAPTURE_DEGENERATE", what, file=name, hints=hint)
-    if (distinct := _count_distinct(xyz)) < MIN_DISTINCT:
-        what = say("has_only_distinct_points_least", count=distinct, least=MIN_DISTINCT)
-        raise CaptureError("CAPTURE_TOO_FEW_POINTS", what, file=name, hints=hint)
-    first, second, _ = _extents(xyz)
-    if second < MIN_SECOND_EXTENT * first:
-        raise CaptureError("CAPTURE_DEGENERATE", say("has_all_points"), file=name, hints=hint)
-
-
-def _count_distinct(xyz: Floats) -> int:
-    """Count the distinct points; if a sample has MIN_DISTINCT of them already, return the sample's count."""
-    few = len(np.unique(xyz[:: max(1, len(xyz) // 10_000)], axis=0))
-    return few if few >= MIN_DISTINCT or len(xyz) < 10_000 else len(np.unique(_hash_points(xyz)))
-
-
-def _hash_points(xyz: Floats) -> NDArray[np.uint64]:
-    """Hash each point to one integer (N,): sorting millions of rows takes seconds, sorting integers a tenth of one.
-
-    Among a hundred points two collide once in 10^15 captures; the count of distinct points is then one too low.
-    """
-    bits = (np.ascontiguousarray(xyz, np.float64) + 0.0).view(np.uint64)  # + 0.0 turns -0 into 0
-    mixed = bits ^ (bits >> np.uint64(29))  # low bits of a double are often 0, and a product carries only upwards
-    hashed: NDArray[np.uint64] = (mixed * _ODD_FACTORS).sum(axis=1, dtype=np.uint64)
-    return hashed
-
-
-def _extents(xyz: Floats) -> Floats:
-    """Return the standard deviations (3,) of the points along their principal axes, largest first."""
-    some = xyz[:: max(1, len(xyz) // _SAMPLE)]
-    extents: Floats = np.linalg.svd(some - some.mean(axis=0), compute_uv=False) / np.sqrt(len(some))
-    return extents

@@ -43,6 +43,15 @@ def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
     return colour_at
 
 
+def face_colours(rgb: Bytes) -> ColourAt:
+    """Return a function that has the colour of each triangle (F,3) uint8 all over it."""
+
+    def colour_at(triangle: Ints, weights: Floats) -> Bytes:
+        return np.asarray(rgb[triangle])
+
+    return colour_at
+
+
 def nearest_texels(pixels: Bytes, uv: Floats) -> Bytes:
     """Look up the nearest texel at uv (N,2), with repeat wrapping; v 0 is the picture's lower edge."""
     height, width = pixels.shape[:2]

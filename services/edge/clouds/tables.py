@@ -34,7 +34,7 @@ _ENOUGH_ROWS, _ENOUGH_NAMED = 0.9, 0.6
 """Shares of a text's lines, from the first row on, that are rows in a table; the other one where its columns have the
 names of coordinates."""
 _XYZ = ("x", "y", "z")
-_RGB = (("red", "green", "blue"), ("rf", "gf", "bf"))  # the last are CloudCompare's, of 0 to 1
+RGB = (("red", "green", "blue"), ("rf", "gf", "bf"))  # the last are CloudCompare's, of 0 to 1
 _NORMAL = (("nx", "ny", "nz"),)
 
 
@@ -85,7 +85,7 @@ def npy_parts(path: Path, file: str) -> RawParts | None:
 def raw_columns(columns: dict[str, NDArray[Any]], file: str) -> RawPart:
     """Return coordinates and raw colours of named columns of equal length."""
     columns = _by_meaning(columns, file)
-    return RawPart(np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1), _first_present(columns, _RGB))
+    return RawPart(np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1), first_present(columns, RGB))
 
 
 def looks_numeric(head: bytes, *, whole: bool) -> bool:
@@ -233,8 +233,8 @@ def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
     """Make a cloud from named columns of equal length; PLY, PCD, .npy and tables share these names."""
     columns = _by_meaning(columns, file)
     xyz = np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1)
-    colours = _first_present(columns, _RGB)
-    normals = _first_present(columns, _NORMAL)
+    colours = first_present(columns, RGB)
+    normals = first_present(columns, _NORMAL)
     rgb, notes = read_colours(colours, columns.get("intensity"))
     return Cloud(xyz, rgb, unit_normals(normals) if normals is not None else None, notes)
 
@@ -247,7 +247,7 @@ def _by_meaning(columns: dict[str, NDArray[Any]], file: str) -> dict[str, NDArra
     return found
 
 
-def _first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, ...], ...]) -> NDArray[Any] | None:
+def first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, ...], ...]) -> NDArray[Any] | None:
     """Return the columns (N,k) of the first choice whose names all exist, or None."""
     for names in choices:
         if all(name in columns for name in names):

@@ -1,0 +1,109 @@
+"""PLY files of every order of properties: lists anywhere, of one length or of many, scalars between, faces first."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from capture2vr.edge.clouds.ply import PlyFile, read_ply
+from capture2vr.edge.errors import CaptureError
+
+CODES = {"uchar": "B", "short": "h", "int": "i", "uint": "I", "float": "f", "double": "d"}
+VERTICES = [(0.0, 0.0, 0.5), (2.0, 0.25, 0.5), (2.0, 1.5, 0.5), (0.0, 1.0, 0.5), (0.5, -2.0, 0.5)]
+RGB = [(10, 20, 30), (40, 50, 60), (70, 80, 90), (100, 110, 120), (130, 140, 150)]
+POLYGONS = [(0, 1, 2, 3), (0, 4, 1), (1, 2, 3)]
+TRIANGLES = [(0, 1, 2), (0, 2, 3), (0, 4, 1), (1, 2, 3)]
+
+Value = float | Sequence[float]
+
+
+def ply(form: str, elements: Sequence[tuple[str, Sequence[tuple[str, str]], Sequence[Sequence[Value]]]]) -> bytes:
+    """A PLY of elements: name, properties (kind or "count kind", name), rows of numbers and lists."""
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
+    head, body = [f"ply\nformat {form} 1.0\n"], bytearray()
+    for name, properties, rows in elements:
+        head.append(f"element {name} {len(rows)}\n")
+        head += [f"property {'list ' if ' ' in kind else ''}{kind} {each}\n" for kind, each in properties]
+        for row in rows:
+            words: list[str] = []
+            for (kind, _), value in zip(properties, row, strict=True):
+                *count, item = kind.split()
+                values = list(value) if isinstance(value, Sequence) else [value]
+                words += [*([str(len(values))] if count else []), *(f"{each:.9g}" for each in values)]
+                if order:
+                    body += struct.pack(order + CODES[count[0]], len(values)) if count else b""
+                    cast = float if item in ("float", "double") else int
+                    body += struct.pack(f"{order}{len(values)}{CODES[item]}", *map(cast, values))
+            if not order:
+                body += " ".join(words).encode() + b"\n"
+    return "".join([*head, "end_header\n"]).encode() + bytes(body)
+
+
+def read(data: bytes, folder: Path) -> PlyFile:
+    (folder / "a.ply").write_bytes(data)
+    return read_ply(folder / "a.ply", "a.ply")
+
+
+@given(data=st.data())
+def test_the_declared_order_is_read(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    draw = data.draw
+    form = draw(st.sampled_from(["ascii", "binary_little_endian", "binary_big_endian"]))
+    case = draw(st.sampled_from([str.lower, str.upper]))
+    lengths = st.lists(st.integers(0, 3), min_size=5, max_size=5) | st.just([2] * 5)
+    views, flags = draw(lengths), draw(lengths)
+    scalars = [("float", "x"), ("double", "y"), ("float", "z")]
+    scalars += [("uchar", each) for each in ("red", "green", "blue")]
+    vertex = [*scalars, ("uchar uint", "view_indices"), ("int float", "view_weights")]
+    columns = {
+        **{name: [row[at] for row in VERTICES] for at, name in enumerate("xyz")},
+        **{name: [row[at] for row in RGB] for at, name in enumerate(("red", "green", "blue"))},
+        "view_indices": [list(range(count)) for count in views],
+        "view_weights": [[0.5] * count for count in flags],
+    }
+    face = [("uchar int", "vertex_indices"), ("uchar", "flags"), ("uchar float", "texcoord"), ("int", "number")]
+    of_faces = {
+        "vertex_indices": POLYGONS,
+        "flags": [7, 8, 9],
+        "texcoord": [[0.5] * (2 * len(each)) for each in POLYGONS],
+        "number": [1, 2, 3],
+    }
+    other = ("edge", [("int", "a"), ("uchar int", "b")], [(1, [2, 3]), (4, [])])
+    made = []
+    for name, properties, known in (("vertex", vertex, columns), ("face", face, of_faces)):
+        chosen = draw(st.permutations(properties))
+        rows = list(zip(*(known[each] for _, each in chosen), strict=True))
+        made.append((case(name), [(kind, case(each)) for kind, each in chosen], rows))
+    elements = draw(st.permutations([*made, other]))
+    found = read(ply(form, elements), tmp_path_factory.mktemp("ply"))
+    np.testing.assert_allclose(found.cloud.xyz, VERTICES)
+    np.testing.assert_array_equal(found.cloud.rgb, RGB)
+    assert sorted(map(tuple, found.faces.tolist())) == sorted(TRIANGLES)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_faces_have_colours_where_vertices_have_none(form: str, tmp_path: Path) -> None:
+    faces = [(polygon, *RGB[number]) for number, polygon in enumerate(POLYGONS)]
+    colours = [("uchar", each) for each in ("red", "green", "blue")]
+    elements = [
+        ("vertex", [("float", each) for each in "xyz"], VERTICES),
+        ("face", [("uchar int", "vertex_indices"), *colours], faces),
+    ]
+    found = read(ply(form, elements), tmp_path)
+    assert found.face_rgb is not None
+    of = {tuple(face): tuple(rgb) for face, rgb in zip(found.faces.tolist(), found.face_rgb.tolist(), strict=True)}
+    assert of == dict(zip(TRIANGLES, (RGB[0], RGB[0], RGB[1], RGB[2]), strict=True))
+
+
+@pytest.mark.parametrize("cut", [1, 9, 30])
+def test_lists_that_are_cut_off_are_an_error(cut: int, tmp_path: Path) -> None:
+    rows = [(*point, [1] * (number + 1)) for number, point in enumerate(VERTICES)]
+    data = ply("binary_little_endian", [("vertex", [*(("float", each) for each in "xyz"), ("int int", "seen")], rows)])
+    with pytest.raises(CaptureError) as caught:
+        read(data[:-cut], tmp_path)
+    assert caught.value.code == "CAPTURE_TRUNCATED"
