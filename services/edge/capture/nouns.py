@@ -193,17 +193,18 @@ class Cloud:
     """Point cloud as read from a file, in the capture's own frame and units.
 
     xyz (N,3) float64, finite; rgb (N,3) uint8 sRGB or None; normals (N,3) float32 unit length or None; notes: what
-    is to be said of them.
+    is to be said of them; origin: what was subtracted from the file's coordinates (3,), which are of a survey, or None.
     """
 
     xyz: Floats
     rgb: Bytes | None = None
     normals: Floats | None = None
     notes: tuple[str, ...] = ()
+    origin: Floats | None = None
 
     def subset(self, which: Bools) -> Cloud:
         """Return the points where the mask `which` (N,) is True."""
-        return Cloud(self.xyz[which], pick(self.rgb, which), pick(self.normals, which), self.notes)
+        return Cloud(self.xyz[which], pick(self.rgb, which), pick(self.normals, which), self.notes, self.origin)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,8 @@ from capture2vr.edge.clouds.cloud_parts import (
 )
 from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_warning
 from capture2vr.edge.clouds.cloud_shape import check_shape
-from capture2vr.edge.clouds.meshes import read_mesh
+from capture2vr.edge.clouds.las_units import las_units
+from capture2vr.edge.clouds.meshes import is_binary_stl, read_mesh
 from capture2vr.edge.clouds.obj import read_obj
 from capture2vr.edge.clouds.pcd import read_pcd
 from capture2vr.edge.clouds.ply import PlyFile, ply_parts, read_ply
@@ -44,6 +45,9 @@ _MAX_BYTES = {
 _SNIFF_BYTES = 2**16  # read of a file to detect its format
 _FAR_OFF = 100.0  # of a cloud's extent from the origin: below it float32 is exact to a hundred thousandth of that
 _SAMPLE = 100_000  # points used for the principal extents; fast also for a cloud of 20 million
+
+_EARTH_M = 6.33e6, 6.40e6  # from the middle of the earth to its surface
+_HIGHEST_M = 10_000.0  # a height above this is none
 
 UP_Y = (0.0, 1.0, 0.0)
 UP_Z = (0.0, 0.0, 1.0)
@@ -72,8 +76,10 @@ def cloud_format(folder: Folder, name: str) -> str | None:
     with translate_errors(name, "file"), path.open("rb") as stream:
         head = stream.read(_SNIFF_BYTES)
     magic = _by_magic(head)
-    if magic is None and len(head) >= 84 and path.stat().st_size == 84 + 50 * int.from_bytes(head[80:84], "little"):
+    if magic is None and is_binary_stl(head, path.stat().st_size, named=name.lower().endswith(".stl")):
         return "stl"
+    if magic is None and name.lower().endswith(".gltf") and head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        return "gltf"  # what tells it may come behind megabytes of a buffer
     return magic or _by_text(head)
 
 
@@ -111,16 +117,27 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
 
     Of a cloud of more than LARGE points some are read now, and all of them in parts when they are asked for.
     """
+    path, metres = folder.path(name), _las_metres(folder.path(name), name) if kind == "las" else None
     if (parts := _parts(folder, name, kind)) is not None:
         some, whole, warnings = read_some(parts, name, folder.tick)
-        return _capture(kind, name, some, warnings, whole)
-    if kind == "xyz":
-        _check_size(folder.path(name), name, kind)
-        cloud, warnings, metres = read_table(folder.path(name), name)
+        read = _capture(kind, name, some, warnings, whole)
+    elif kind == "xyz":
+        _check_size(path, name, kind)
+        cloud, warnings, metres = read_table(path, name)
         read = capture_of_cloud(cloud, name, kind, warnings)
-        return read if metres is None else replace(read, metres_per_unit=metres, scale_confidence="metric")
-    cloud, warnings = _read(folder, name, kind)
-    return capture_of_cloud(cloud, name, kind, warnings)
+    else:
+        cloud, warnings = _read(folder, name, kind)
+        read = capture_of_cloud(cloud, name, kind, warnings)
+    return read if metres is None else replace(read, metres_per_unit=metres, scale_confidence="metric")
+
+
+def _las_metres(path: Path, name: str) -> float | None:
+    """Return the metres of one unit across that a LAS names, None where it names none. Raises for degrees."""
+    units = las_units(path)
+    if units is not None and units.degrees:
+        hint = say("project_degrees_to_metres")
+        raise CaptureError("CAPTURE_UNREADABLE", say("has_coordinates_in_degrees"), file=name, hints=(hint,))
+    return None if units is None else units.across
 
 
 def capture_of_cloud(cloud: Cloud, name: str, kind: str, warnings: tuple[str, ...] = ()) -> Capture:
@@ -131,8 +148,8 @@ def capture_of_cloud(cloud: Cloud, name: str, kind: str, warnings: tuple[str, ..
     """
     if len(cloud.xyz) > MAX_POINTS:
         raise too_many_points(len(cloud.xyz), name)
-    (xyz,), moved = _near_origin([returned(cloud.xyz)], name)
-    cloud, dropped = _drop_invalid(replace(cloud, xyz=xyz), name)
+    (xyz,), origin, moved = _near_origin([returned(cloud.xyz)], name)
+    cloud, dropped = _drop_invalid(replace(cloud, xyz=xyz, origin=cloud.origin if origin is None else origin), name)
     return _capture(kind, name, cloud, (*warnings, *moved, *dropped))
 
 
@@ -159,8 +176,19 @@ def _capture(kind: str, name: str, cloud: Cloud, warnings: tuple[str, ...], whol
     check_shape(cloud.xyz, name)
     warnings += tuple(say("file_note", file=name, note=note) for note in cloud.notes)
     frame = _FRAMES.get(kind, _Frame())
-    up = None if frame.up is None else np.array(frame.up)
+    up = _survey_up(cloud.origin) if frame.up is None else np.array(frame.up)
     return Capture("points", kind, cloud=cloud, whole=whole, scale_confidence=frame.scale, up=up, warnings=warnings)
+
+
+def _survey_up(origin: Floats | None) -> Floats | None:
+    """Return which way is up where coordinates are those of a survey, moved by `origin`; None where they are not.
+
+    In geocentric coordinates (ECEF) up is away from the middle of the earth, in projected ones it is Z.
+    """
+    if origin is None:
+        return None
+    away = float(np.linalg.norm(origin))
+    return origin / away if _EARTH_M[0] < away < _EARTH_M[1] and abs(origin[2]) > _HIGHEST_M else np.array(UP_Z)
 
 
 def _too_many_bytes(name: str, kind: str, limit: int) -> CaptureError:
@@ -224,31 +252,33 @@ def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tupl
     """Sample points on the surfaces, after validating the vertices, so that errors are about the file's vertices."""
     if (count := sum(len(surface.vertices) for surface in surfaces)) > 3 * MAX_POINTS:
         raise too_many_points(count, name)
-    near, moved = _near_origin([surface.vertices for surface in surfaces], name)
+    near, origin, moved = _near_origin([surface.vertices for surface in surfaces], name)
     surfaces = [replace(surface, vertices=vertices) for surface, vertices in zip(surfaces, near, strict=True)]
     cloud, dropped = _drop_invalid(Cloud(np.concatenate(near)), name)
     if (cloud.xyz == cloud.xyz[0]).all():
         raise CaptureError("CAPTURE_DEGENERATE", say("has_all_vertices_same_position"), file=name)
     keep = [replace(surface, vertices=np.where(valid_mask(surface.vertices)[:, None], surface.vertices, np.nan))
             for surface in surfaces]  # fmt: skip
-    return sample_surfaces(keep, name), (*moved, *dropped)
+    return replace(sample_surfaces(keep, name), origin=origin), (*moved, *dropped)
 
 
-def _near_origin(parts: Sequence[Floats], name: str) -> tuple[list[Floats], tuple[str, ...]]:
-    """Move georeferenced coordinates, parts of (N,3), near the origin, as float32 has steps of 3 cm at 500 km; warn.
+def _near_origin(parts: Sequence[Floats], name: str) -> tuple[list[Floats], Floats | None, tuple[str, ...]]:
+    """Move georeferenced coordinates, parts of (N,3), near the origin, as float32 has steps of 3 cm at 500 km.
+
+    Returns them, what was subtracted, and a warning of it.
 
     A few points that are far away do not make coordinates georeferenced, nor do they say where the others are.
     """
     some = np.concatenate([part[:: max(1, len(part) // _SAMPLE)] for part in parts])
     some = some[np.isfinite(some).all(axis=1)]
     if len(some) == 0:
-        return list(parts), ()
+        return list(parts), None, ()
     low, high = np.quantile(some, (MAX_BAD_SHARE, 1 - MAX_BAD_SHARE), axis=0)
     origin, farthest = georeferenced_origin(low, high), float(np.abs([low, high]).max())
     # A house in millimetres reaches as far from the origin, and stays where it is.
     if origin is None or farthest < min(MAX_COORDINATE, _FAR_OFF * float((high - low).max())):
-        return list(parts), ()
-    return [np.asarray(part, np.float64) - origin for part in parts], (moved_warning(origin, name),)
+        return list(parts), None, ()
+    return [np.asarray(part, np.float64) - origin for part in parts], origin, (moved_warning(origin, name),)
 
 
 def _drop_invalid(cloud: Cloud, name: str) -> tuple[Cloud, tuple[str, ...]]:

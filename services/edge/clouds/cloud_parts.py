@@ -77,11 +77,8 @@ def read_some(parts: RawParts, name: str, tick: Tick) -> tuple[Cloud, CloudParts
     scale = None if rgb is None or some.colours is None else scale_of(some.colours)
     clean = _Clean(np.zeros(3) if origin is None else origin, scale)
     warnings += dropped_warnings(some.xyz - clean.origin, name)
-    return (
-        replace(clean(some), notes=notes),
-        CloudParts(parts.count, lambda: map(clean, _translated(parts, name))),
-        warnings,
-    )
+    whole = CloudParts(parts.count, lambda: map(clean, _translated(parts, name)))
+    return replace(clean(some), notes=notes, origin=origin), whole, warnings
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,7 +101,7 @@ def near_origin(xyz: Floats, rgb: NDArray[Any] | None, file: str) -> tuple[Cloud
     origin = georeferenced_origin(finite.min(axis=0), finite.max(axis=0)) if len(finite) else None
     if origin is None:
         return Cloud(xyz, colours, notes=notes), ()
-    return Cloud(xyz - origin, colours, notes=notes), (moved_warning(origin, file),)
+    return Cloud(xyz - origin, colours, None, notes, origin), (moved_warning(origin, file),)
 
 
 def georeferenced_origin(low: Floats, high: Floats) -> Floats | None:

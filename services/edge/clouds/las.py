@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from capture2vr.edge.arrays import Floats, Tick, no_tick
 from capture2vr.edge.capture.files import translate_errors, truncated, unreadable
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.clouds.cloud_process import decode_in_child, decode_to_disk, near_origin
+from capture2vr.edge.clouds.las_units import LasUnits, las_units
 from capture2vr.edge.clouds.raw_parts import LARGE, RawPart, RawParts
 from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS, MAX_POINTS, too_many_points
 from capture2vr.edge.errors import CaptureError
@@ -27,18 +29,18 @@ _COMPRESSED = 0x80  # bit of the point format that marks LAZ
 
 
 def read_las(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[str, ...]]:
-    """Read a LAS or LAZ: the cloud in metres (Z up) and warnings. `tick` is called while a LAZ is decoded.
+    """Read a LAS or LAZ: the cloud in the unit across (Z up) and warnings. `tick` is called while a LAZ is decoded.
 
     Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED, CAPTURE_TOO_LARGE and CAPTURE_EMPTY.
     """
     compressed = _check_header(path, file)
     with translate_errors(file, "LAS"):
         xyz, rgb = decode_in_child("LAZ", path, file, tick)[:2] if compressed else decode_points(path)
-    return near_origin(xyz, rgb, file)
+    return near_origin(_level_units(xyz, las_units(path)), rgb, file)
 
 
 def las_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:
-    """Read a LAS or LAZ file in parts, in metres; None where it has no more than `read_las` reads at once.
+    """Read a LAS or LAZ file in parts, in the unit across; None where it has no more than `read_las` reads at once.
 
     A LAZ is decoded in a child process to the disk, as its decoder may abort. Errors as of `read_las`.
     """
@@ -46,16 +48,22 @@ def las_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:
         count = _point_count(stream.read(375).ljust(375, b"\0"))
     if count <= LARGE:
         return None
-    compressed = _check_header(path, file, MAX_PARTED_POINTS)
-    if compressed:
-        return decode_to_disk("LAZ", path, file, count, tick)
+    units = las_units(path)
+    if _check_header(path, file, MAX_PARTED_POINTS):
+        parts = decode_to_disk("LAZ", path, file, count, tick)
+        return replace(parts, read=lambda: (replace(part, xyz=_level_units(part.xyz, units)) for part in parts.read()))
 
     def read() -> Iterator[RawPart]:
         with translate_errors(file, "LAS"):
             for xyz, colours in iter_points(path):
-                yield RawPart(xyz, colours)
+                yield RawPart(_level_units(xyz, units), colours)
 
     return RawParts(count, read)
+
+
+def _level_units(xyz: Floats, units: LasUnits | None) -> Floats:
+    """Return coordinates (N,3) with the heights in the unit of the others."""
+    return xyz if units is None or units.height == units.across else xyz * (1, 1, units.height / units.across)
 
 
 def _point_count(head: bytes) -> int:

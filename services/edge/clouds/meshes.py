@@ -19,6 +19,7 @@ from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.sentences.sentence import say
 
+_STL_HEADER = 84  # bytes: a remark, and the number of facets of 50 bytes each
 _MAX_SOLIDS = 1_000  # of an ASCII STL; programs write one, or one for each part
 
 
@@ -70,6 +71,7 @@ def read_mesh(folder: Folder, file: str, kind: str) -> tuple[list[SampledSurface
         _check_off(data, file)
     elif kind == "stl":
         _check_solids(data, file)
+        data = data[: _stl_bytes(data)] if is_binary_stl(data, len(data), named=True) else data
     elif kind in ("glb", "gltf"):
         data, beside.buffers = plain_gltf(data, kind, folder, file, beside)
         parser = "gltf"
@@ -99,6 +101,22 @@ def _check_off(data: bytes, file: str) -> None:
     if (vertices * 6 + faces * 8) > len(data) + 8:
         what = say("vertices_faces_do_not_fit", vertices=vertices, faces=faces, size=len(data))
         raise truncated(file, say("cut_off_header_announces", what=what))
+
+
+def is_binary_stl(head: bytes, size: int, *, named: bool) -> bool:
+    """Return whether a file of `size` bytes is a binary STL: as long as its number of facets tells.
+
+    named: whether it has the suffix .stl; some programs then write more behind the last facet
+    """
+    if len(head) < _STL_HEADER:
+        return False
+    needed = _stl_bytes(head)
+    return size == needed or (named and _STL_HEADER < needed < size and not head.lstrip().startswith(b"solid"))
+
+
+def _stl_bytes(head: bytes) -> int:
+    """Return how long a binary STL is, by its header."""
+    return _STL_HEADER + 50 * int.from_bytes(head[80:84], "little")
 
 
 def _check_solids(data: bytes, file: str) -> None:
