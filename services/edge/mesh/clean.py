@@ -21,6 +21,7 @@ from capture2vr.edge.mesh.holes import fill_holes, zip_tears
 from capture2vr.edge.mesh.manifold import to_manifold
 from capture2vr.edge.mesh.normals import face_normals, vertex_normals
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.pieces import without_collapsed
 from capture2vr.edge.mesh.regions import average_over_faces, connected_regions
 from capture2vr.edge.mesh.support import Support
 from capture2vr.edge.mesh.topology import compact, orient, pieces_of
@@ -97,7 +98,7 @@ def clean(
     mesh = orient(mesh, part_of(tick, 0.8, 0.9))
     mesh = _tighten_fins(mesh, support)
     tick(0.95)
-    mesh = compact(_smooth(mesh))  # not before: the support knows vertices by their numbers
+    mesh = compact(without_collapsed(_smooth(mesh)))  # not before: the support knows vertices by their numbers
     tick(1)
     return mesh
 

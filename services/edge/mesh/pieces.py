@@ -12,6 +12,7 @@ from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.topology import pieces_of
 
+_COLLAPSED = 1e-15  # of the area of all pieces: less is none
 MOST_LISTED = 8
 """Pieces of a list that stand on lines of their own; the smaller ones are added up by their reasons."""
 
@@ -59,3 +60,11 @@ def list_pieces(areas: Sequence[float], kept: Sequence[bool], reasons: Sequence[
         before = rest.get(fate, Piece(0.0, 0, *fate))
         rest[fate] = Piece(before.share + float(areas[at]) / whole, before.count + 1, *fate)
     return (*lines, *sorted(rest.values(), key=lambda line: -line.share))
+
+
+def without_collapsed(mesh: Mesh) -> Mesh:
+    """Return a mesh without its pieces that have no area: tightening draws a tetrahedron that stands off the points
+    together to one point."""
+    split = SplitMesh.of(mesh)
+    kept = split.areas > _COLLAPSED * split.areas.sum()
+    return mesh if kept.all() else Mesh(mesh.vertices, mesh.faces[kept[split.piece]])

@@ -21,6 +21,7 @@ from capture2vr.edge.mesh.extract import extract
 from capture2vr.edge.mesh.holes import fill_holes, zip_tears
 from capture2vr.edge.mesh.manifold import to_manifold
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.pieces import without_collapsed
 from capture2vr.edge.mesh.sampling import area
 from capture2vr.edge.mesh.topology import orient, pieces_of, reseamed, seam_length
 from tests.support import surfaces
@@ -132,6 +133,14 @@ def test_fins_that_stand_off_the_points_are_drawn_tight() -> None:
     assert sheet.vertices[:, 2].max() == pytest.approx(0.02)
     assert mesh.vertices[:, 2].max() < 0.005
     assert len(border_loops(mesh.faces)) == 1
+
+
+def test_a_piece_that_was_drawn_together_to_a_point_goes() -> None:
+    ball = surfaces.sphere()
+    assert without_collapsed(ball) is ball
+    point = Mesh(np.full((4, 3), 3.0), TETRAHEDRON)
+    left = without_collapsed(surfaces.joined(ball, point))
+    np.testing.assert_array_equal(left.faces, ball.faces)
 
 
 def test_a_bend_between_points_is_not_drawn_flat() -> None:
