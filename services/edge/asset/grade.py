@@ -8,7 +8,7 @@ of a furry head whose mean share of holes was 2 %, the dark side had 6 %.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from capture2vr.edge.asset.photo_check import PhotoCheck
@@ -62,10 +62,16 @@ def grade_asset(certificate: Certificate, check: PhotoCheck, filled: float) -> G
         return None
     faults = list(_faults(certificate, check, checks, filled))
     worst = max(faults, key=lambda each: each.level)
-    level = worst.level
-    if level == 1 and len({each.kind for each in faults if each.level}) > 1:
-        level = 2  # of eleven photos of fruit half was made up, and the rest had wrong depth: a rag, but neither saw it
-    return Grade(_LEVELS[level], worst.because if level else "", say(worst.advice) if level else "")
+    if not worst.level:
+        return Grade("good")
+    if check.one_side and worst.kind != "depth":
+        worst = replace(worst, because=say("photos_of_one_side", degrees=check.one_side), advice="again_all_around")
+    other = next((each for each in faults if each.level == 1 == worst.level and each.kind != worst.kind), None)
+    if other is None:
+        return Grade(_LEVELS[worst.level], worst.because, say(worst.advice))
+    # Of eleven photos of fruit half was made up, and the rest had wrong depth: a rag, but neither saw it.
+    because = say("one_and_other", one=worst.because, other=other.because)
+    return Grade(_LEVELS[worst.level + 1], because, say(worst.advice))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +100,8 @@ def _faults(
     if check.apart > _FAR_APART:
         yield _Fault(met, "depth", say("photos_stand_far_apart", share=depth, degrees=check.apart), "again_around")
     else:
-        yield _Fault(met, "depth", say("depth_of_photos_disagrees", share=depth), "again_matt")
+        much, little = say("depth_of_photos_disagrees", share=depth), say("depth_disagrees_a_little", share=depth)
+        yield _Fault(met, "depth", much if met > 1 else little, "again_matt")
     cover = sum(each.figures.cover for each in checks) / len(checks)
     covered = _above(-cover, tuple(-each for each in _COVER))
     yield _Fault(covered, "holes", say("object_not_covered", share=cover), "again_around")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -40,6 +40,9 @@ _MOST_OWN = 4
 """Photos that a surface was made from and is compared with, where none could be spared for that."""
 _CLOSED = 10.0
 """Spacings from inferred points within which a surface was closed, and has no rims."""
+_CONE, _ARC, _BESIDE = 60.0, 120.0, 90.0
+"""Degrees between the outermost photos below which they are of one side, and, of an arc, below which; and the least
+part of a circle around their mean direction in which there is none of the outer ones, of an arc."""
 _MANY_HOLES = 0.03
 """Share of the thing's silhouette in holes from which on a person notices them at once."""
 _MUCH_INSIDE = 0.03
@@ -65,12 +68,14 @@ class PhotoCheck:
     own      then with a few of those that it was made from
     scene    whether the surroundings are a part of it, whose borders are where photos end
     apart    degrees from a photo to the next one, as seen from the surface: the median; 0 where there is no other
+    one_side degrees that the photos span, as seen from the surface, where they show one side of it only; else 0
     """
 
     surface: tuple[SurfaceCheck, ...] = ()
     own: tuple[SurfaceCheck, ...] = ()
     scene: bool = False
     apart: float = 0.0
+    one_side: float = 0.0
 
     @property
     def figures(self) -> PhotoFigures | None:
@@ -98,21 +103,44 @@ def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) 
     """Compare a mesh in the unit frame with the held-out photos of its points, else with a few of the others."""
     held_out, seen_by = in_unit_frame(points.held_out_views, unit), in_unit_frame(points.texture_views, unit)
     scene = points.cut is not None and points.cut.kept == "scene"
-    apart = _degrees_apart(np.array([each.eye for each in (*seen_by, *held_out)]), mesh_unit)
-    if held_out:
-        return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)), scene=scene, apart=apart)
-    few = evenly(seen_by, _MOST_OWN)
-    return PhotoCheck(own=tuple(check_surface(mesh_unit, few, seen_by)), scene=scene, apart=apart)
-
-
-def _degrees_apart(eyes: Floats, mesh: Mesh) -> float:
-    """Median angle between a camera (M,3) and the next one, as seen from the middle of a mesh; 0 below two cameras."""
-    if len(eyes) < 2:
-        return 0.0
-    towards = eyes - (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    middle = (mesh_unit.vertices.min(axis=0) + mesh_unit.vertices.max(axis=0)) / 2
+    towards = np.array([each.eye for each in (*seen_by, *held_out)]).reshape(-1, 3) - middle
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    if held_out:
+        check = PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)))
+    else:
+        check = PhotoCheck(own=tuple(check_surface(mesh_unit, evenly(seen_by, _MOST_OWN), seen_by)))
+    one_side = 0.0 if scene else degrees_of_one_side(towards)
+    return replace(check, scene=scene, apart=_degrees_apart(towards), one_side=one_side)
+
+
+def _degrees_apart(towards: Floats) -> float:
+    """Median angle between a camera and the next one, by unit vectors (M,3) to them; 0 below two cameras."""
+    if len(towards) < 2:
+        return 0.0
     chord = cKDTree(towards).query(towards, k=2)[0][:, 1]
     return float(np.degrees(2 * np.arcsin(np.median(chord) / 2)))
+
+
+def degrees_of_one_side(towards: Floats) -> float:
+    """Return the largest angle between two cameras, by unit vectors (M,3) to them, where all are on one side; else 0.
+
+    They are within a narrow cone, or on an arc: around their mean direction there are none on some side. A ring of
+    photos from above is no arc.
+    """
+    if len(towards) < 2:
+        return 0.0
+    span = float(np.degrees(np.arccos(np.clip((towards @ towards.T).min(), -1, 1))))
+    if span < _CONE:
+        return span
+    if span > _ARC:
+        return 0.0
+    mean = towards.mean(axis=0) / np.linalg.norm(towards.mean(axis=0))
+    across = np.linalg.svd(mean[None])[2][1:]
+    outer = towards @ mean < (1 + (towards @ mean).min()) / 2
+    turn = np.sort(np.degrees(np.arctan2(*(towards[outer] @ across.T).T)))
+    gap = float(np.diff([*turn, turn[0] + 360]).max())
+    return span if gap > _BESIDE else 0.0
 
 
 def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> Mesh:

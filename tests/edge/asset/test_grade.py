@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from capture2vr.edge.asset.grade import Grade, grade_asset
-from capture2vr.edge.asset.photo_check import PhotoCheck
+from capture2vr.edge.asset.photo_check import PhotoCheck, degrees_of_one_side
 from capture2vr.edge.certificate import Certificate
 from capture2vr.edge.render.photo_comparison import PhotoFigures, SurfaceCheck
 from capture2vr.edge.render.posed_picture import PosedPicture
@@ -66,7 +66,10 @@ def test_shreds_and_what_was_made_up_count_too() -> None:
 def test_two_weak_figures_of_different_kinds_are_worse_than_either() -> None:
     made_up, vague, torn = {"filled": 0.58}, photo(depth=0.71), photo(lace=0.03)
     assert [graded(photo(), **made_up).level, graded(vague).level, graded(torn).level] == ["usable"] * 3
-    assert graded(vague, **made_up).level == "incomplete"
+    both = graded(vague, **made_up)
+    assert both.level == "incomplete"
+    assert "71% of the depth" in both.because
+    assert "58% of the surface" in both.because, "both are named: neither alone is so bad"
     assert graded(torn, border=9.0).level == "usable", "holes have borders: that is one fault"
     assert graded(photo(depth=0.62), **made_up).level == "incomplete"
 
@@ -86,6 +89,47 @@ def test_depth_that_disagrees_between_photos_far_apart_is_not_blamed_on_shine() 
     assert "shiny" in near.because
     assert "30° apart" in far.because
     assert "every ten degrees" in far.advice
+
+
+def ring(elevation: float, azimuths: np.ndarray) -> np.ndarray:
+    up, turn = np.radians(elevation), np.radians(azimuths)
+    return np.stack([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.full(len(turn), np.sin(up))], axis=1)
+
+
+AROUND = np.arange(0, 360, 15)
+
+
+@pytest.mark.parametrize(
+    ("towards", "degrees"),
+    [
+        (ring(10, AROUND), 0),
+        (ring(45, AROUND), 0),  # from above, all around
+        (np.concatenate([ring(5, AROUND), ring(50, AROUND)]), 0),
+        (ring(20, np.arange(0, 81, 5)), 74),
+        (np.concatenate([ring(5, np.arange(0, 76, 5)), ring(40, np.arange(0, 76, 5))]), 75),
+        (ring(0, np.arange(-20, 21, 5)), 40),
+        (ring(20, np.arange(0, 200, 10)), 0),  # half of a turn shows more than one side
+        (ring(20, np.zeros(1)), 0),
+    ],
+)
+def test_photos_of_one_side_are_told_from_rings(towards: np.ndarray, degrees: float) -> None:
+    for turn in np.linalg.qr(np.random.default_rng(0).normal(size=(5, 3, 3)))[0]:
+        assert degrees_of_one_side(towards @ turn.T) == pytest.approx(degrees, abs=1)
+
+
+def test_photos_of_one_side_are_the_cause_of_what_is_missing_and_not_of_shine() -> None:
+    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 0.0, 1, 0, 1.0, 0.0, np.zeros(1))
+
+    def graded_from_one_side(**figures: float) -> Grade:
+        grade = grade_asset(certificate, PhotoCheck((photo(**figures),), one_side=75.0), 0.0)
+        assert grade is not None
+        return grade
+
+    torn = graded_from_one_side(lace=0.4)
+    assert (torn.level, "span 75°" in torn.because) == ("shoot again", True)
+    assert "all the way around" in torn.advice
+    assert "shiny" in graded_from_one_side(depth=0.4).because
+    assert graded_from_one_side() == Grade("good")
 
 
 def test_the_worst_photo_counts_and_is_named() -> None:
