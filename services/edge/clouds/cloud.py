@@ -65,7 +65,7 @@ _FRAMES = {
     "glb": _Frame("metric", UP_Y),  # glTF 2.0, section 3.4: metres, Y up
     "gltf": _Frame("metric", UP_Y),
     "e57": _Frame("metric", UP_Z),  # ASTM E2807: metres; scanners level themselves
-    "las": _Frame("estimated", UP_Z),  # usually metres; the coordinate reference system, which is not read, decides
+    "las": _Frame("estimated", UP_Z),  # usually metres, where no coordinate reference system says another unit
 }
 _MESHES = ("off", "stl", "glb", "gltf")
 

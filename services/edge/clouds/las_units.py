@@ -47,26 +47,27 @@ def las_units(path: Path) -> LasUnits | None:
 def _records(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """Yield the numbers and contents of the records about the projection, before the points and behind them."""
     head = stream.read(375).ljust(375, b"\0")
+    end = stream.seek(0, 2)
     stream.seek(struct.unpack_from("<H", head, 94)[0])
-    yield from _listed(stream, min(struct.unpack_from("<I", head, 100)[0], _MOST_RECORDS), "<H16sHH32s")
+    yield from _listed(stream, min(struct.unpack_from("<I", head, 100)[0], _MOST_RECORDS), "<H16sHH32s", end)
     if head[24:26] >= b"\x01\x04":
         first, count = struct.unpack_from("<QI", head, 235)
-        stream.seek(min(first, 2**62))
-        yield from _listed(stream, min(count, _MOST_RECORDS), "<H16sHQ32s")
+        stream.seek(min(first, end))
+        yield from _listed(stream, min(count, _MOST_RECORDS), "<H16sHQ32s", end)
 
 
-def _listed(stream: BinaryIO, count: int, form: str) -> Iterator[tuple[int, bytes]]:
+def _listed(stream: BinaryIO, count: int, form: str, end: int) -> Iterator[tuple[int, bytes]]:
+    """Yield the records of a list, as far as it lies in the file, which has `end` bytes."""
     size = struct.calcsize(form)
     for _ in range(count):
         head = stream.read(size)
         if len(head) < size:
             return
         _, user, number, length, _ = struct.unpack(form, head)
+        following = stream.tell() + length
         if user.rstrip(b"\0") == _USER and number in (_WKT, _KEYS):
-            content = stream.read(min(length, _MOST_BYTES))
-            yield number, content
-            length -= len(content)
-        stream.seek(min(length, 2**62), 1)
+            yield number, stream.read(min(length, _MOST_BYTES))
+        stream.seek(min(following, end))
 
 
 def units_of_wkt(text: str) -> LasUnits | None:
