@@ -11,6 +11,7 @@ import shutil
 import stat
 import struct
 import tempfile
+import unicodedata
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,8 @@ _COMPRESSIONS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what phones write;
 _ENCRYPTED = 0x1  # general purpose bit flag, APPNOTE 4.4.4
 _MAX_NAME_BYTES = 255  # of a file name on common file systems
 _MAX_PATH_BYTES = 1000  # of a file with its folders; Linux opens none over 4,096, those above the target included
-_JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini"}
+_JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini", "Icon\r"}
+_UTF8 = 0x800  # flag of an entry whose name is UTF-8
 _DRIVE_LETTER = re.compile(r"[A-Za-z]:")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f]")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the first date that a zip can hold
@@ -190,24 +192,46 @@ def _entries_to_unpack(infos: Sequence[zipfile.ZipInfo], limits: ArchiveLimits) 
         )
     entries = []
     for info in infos:
-        path = _safe_path(info)
+        name = _plain_name(info)
+        _check_inside(name)
         _check_kind(info)
-        if not info.is_dir() and not any(part.startswith(".") or part in _JUNK_NAMES for part in path.parts):
-            entries.append(_Entry(info, path))
+        if not name.endswith("/") and not any(map(_is_junk, PurePosixPath(name).parts)):
+            entries.append(_Entry(info, _path_of(name)))
     if sum(entry.info.file_size for entry in entries) > limits.total_bytes:
         raise _bomb(f"the archive's files would take more than {limits.total_bytes:,} bytes")
     _check_distinct(entries)
     return entries
 
 
-def _safe_path(info: zipfile.ZipInfo) -> PurePosixPath:
-    """Return the entry's path relative to the target folder.
+def _plain_name(info: zipfile.ZipInfo) -> str:
+    """Return an entry's name with slashes between its folders, where .NET writes backslashes, and composed letters.
 
-    Raises ArchiveError for a name that leads out of that folder on any operating system (path traversal).
+    The bytes of a name without the flag for UTF-8 are UTF-8 all the same on a Mac, and cp437 or Windows-1252 elsewhere:
+    whichever of the two makes more letters of them.
     """
     name = info.orig_filename
-    if "\\" in name or name.startswith("/") or _DRIVE_LETTER.match(name) or ".." in name.split("/"):
+    if not name.isascii() and not info.flag_bits & _UTF8:
+        stored = name.encode("cp437", "replace")
+        try:
+            name = stored.decode("utf-8")
+        except UnicodeDecodeError:
+            name = max(name, stored.decode("cp1252", "replace"), key=lambda each: sum(map(str.isalpha, each)))
+    return unicodedata.normalize("NFC", name).replace("\\", "/")
+
+
+def _check_inside(name: str) -> None:
+    """Raise ArchiveError for a name that leads out of the target folder on any operating system (path traversal)."""
+    if name.startswith("/") or _DRIVE_LETTER.match(name) or ".." in name.split("/"):
         raise ArchiveError("ARCHIVE_TRAVERSAL", say("file_name_points_outside_archive"), _printable(name))
+
+
+def _is_junk(part: str) -> bool:
+    """Return whether a part of a name is of what systems leave in zips: `Icon\\r` has a folder's picture on a Mac."""
+    return part.startswith(".") or part in _JUNK_NAMES
+
+
+def _path_of(name: str) -> PurePosixPath:
+    """Return an entry's path relative to the target folder. Raises ArchiveError for a name that none can have."""
     path = PurePosixPath(name)
     if (
         not path.parts

@@ -86,8 +86,28 @@ def test_two_top_folders_stay(tmp_path: Path) -> None:
 
 def test_what_systems_leave_in_zips_is_dropped(tmp_path: Path) -> None:
     junk = {"__MACOSX/scan/._a.jpg": b"x", "scan/.DS_Store": b"x", "scan/Thumbs.db": b"x", ".git/config": b"x"}
+    junk |= {"scan/Icon\r": b"x", "__MACOSX/scan/._Icon\r": b"x"}
     archive = zipped(tmp_path / "a.zip", {**junk, "scan/a.jpg": JPEG})
     assert names(tmp_path / "into", unpack(archive, tmp_path / "into")) == ["a.jpg"]
+
+
+def test_backslashes_are_folders(tmp_path: Path) -> None:
+    archive = zipped(tmp_path / "a.zip", {"scan\\": b"", "scan\\a.json": b"{}", "scan\\depth\\1.png": b"1"})
+    assert names(tmp_path / "into", unpack(archive, tmp_path / "into")) == ["a.json", "depth/1.png"]
+
+
+@pytest.mark.parametrize("stored", ["utf-8", "cp437", "cp1252"])
+def test_names_without_the_flag_of_their_encoding_are_read(stored: str, tmp_path: Path) -> None:
+    archive = zipped(tmp_path / "a.zip", {"M_bel.obj": b"v", "b": b"1"})
+    written = "Möbel.obj".encode(stored)
+    data = zipped(tmp_path / "a.zip", {"M" + "_" * (len(written) - 8) + "bel.obj": b"v", "b": b"1"}).read_bytes()
+    archive.write_bytes(data.replace(b"M" + b"_" * (len(written) - 8) + b"bel.obj", written))
+    assert names(tmp_path / "into", unpack(archive, tmp_path / "into")) == ["Möbel.obj", "b"]
+
+
+def test_composed_and_decomposed_names_are_one(tmp_path: Path) -> None:
+    archive = zipped(tmp_path / "a.zip", {"Mo\u0308bel.obj": b"v", "b": b"1"})
+    assert names(tmp_path / "into", unpack(archive, tmp_path / "into")) == ["M\u00f6bel.obj", "b"]
 
 
 def test_a_record3d_archive_is_an_ordinary_one(tmp_path: Path) -> None:
@@ -97,7 +117,19 @@ def test_a_record3d_archive_is_an_ordinary_one(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["../a", "a/../../b", "a/..", "/etc/passwd", "//server/a", "C:/a", "c:a", "..\\a", "a\\b", "\\\\server\\a"],
+    [
+        "../a",
+        "a/../../b",
+        "a/..",
+        "/etc/passwd",
+        "//server/a",
+        "C:/a",
+        "c:a",
+        "..\\a",
+        "a\\..\\b",
+        "\\\\server\\a",
+        "C:\\a",
+    ],
 )
 def test_a_name_that_leads_out_is_refused(tmp_path: Path, name: str) -> None:
     error = assert_refused("ARCHIVE_TRAVERSAL", zipped(tmp_path / "a.zip", {"good": b"1", name: b"evil"}))

@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 _UNSAFE_CHARACTERS = re.compile(r"[^\w .,()+@=\u0080-\U0010ffff-]")
 _SEGMENT_BYTES = 150  # of the 255 that file systems allow: leaves space for a number that makes the name unique
 _MOST_SEGMENTS = 8
-_JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini"}
+_JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini", "Icon\r"}
 
 
 def safe_name(name: str) -> str:
