@@ -9,6 +9,7 @@ import json
 import os
 import posixpath
 import re
+import unicodedata
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.capture.text_encoding import decode_text
 from capture2vr.edge.errors import Cancelled, CaptureError
 from capture2vr.sentences.sentence import say
 
@@ -120,7 +122,7 @@ class Folder:
                 return name
         except CaptureError as error:
             outside = error
-        last = posixpath.basename(written.replace("\\", "/")).lower()
+        last = _look_up(posixpath.basename(written.replace("\\", "/")))
         found = self._by_end.get((beside, last)) or self._by_end.get((_ANYWHERE, last))
         if found is None and outside is not None:
             raise outside
@@ -128,16 +130,21 @@ class Folder:
 
 
 def _first_by_end(names: tuple[str, ...]) -> dict[tuple[str, str], str]:
-    """Map (folder, file name in lower case) to the first name like this; the folder is also _ANYWHERE.
+    """Map (folder, file name as it is looked up) to the first name like this; the folder is also _ANYWHERE.
 
     A hostile file refers to a hundred thousand others: so a look-up must not go through all names.
     """
     found: dict[tuple[str, str], str] = {}
     for name in sorted(names):
         place, last = posixpath.split(name)
-        found.setdefault((place, last.lower()), name)
-        found.setdefault((_ANYWHERE, last.lower()), name)
+        found.setdefault((place, _look_up(last)), name)
+        found.setdefault((_ANYWHERE, _look_up(last)), name)
     return found
+
+
+def _look_up(name: str) -> str:
+    """Return a file's name as it is looked up: in any case, with its accents composed or not."""
+    return unicodedata.normalize("NFC", name).lower()
 
 
 def open_folder(root: Path) -> Folder:
@@ -164,12 +171,12 @@ def _list(folder: Path, prefix: str, depth: int, names: list[str]) -> None:
 
 
 def read_text(path: Path, name: str) -> str:
-    """Read a text file as UTF-8, with or without a byte order mark; invalid bytes become replacement characters."""
+    """Read a text file in its encoding; bytes that are no characters become replacement characters."""
     with translate_errors(name, "text file"):
         if path.stat().st_size > MAX_TEXT_BYTES:
             reason = say("text_file_more_than_mib", size=MAX_TEXT_BYTES // 2**20)
             raise CaptureError("CAPTURE_TOO_LARGE", reason, file=name)
-        return path.read_bytes().decode("utf-8-sig", errors="replace")
+        return decode_text(path.read_bytes())
 
 
 def data_lines(text: str) -> list[str]:

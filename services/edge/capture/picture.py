@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.capture.colour_profile import in_srgb, profile_of, rgb_of
 from capture2vr.edge.capture.files import translate_errors
 from capture2vr.edge.capture.images import broken_image, check_pixels, read_bytes
 from capture2vr.edge.errors import CaptureError
@@ -210,7 +211,8 @@ class PhotoPixels:
         shrink = max(1.0, max(self.size) / (longest or math.inf))
         data = self.read()
         with _translate_image_errors(self.file):
-            pixels = np.rot90(self._decoded(data, shrink), self.turned)
+            decoded, profile = self._decoded(data, shrink)
+            pixels = np.rot90(decoded, self.turned)
         width, height = self.size
         if pixels.shape[:2] not in [(height // by, width // by) for by in (1, *_REDUCTIONS)]:
             what = say(
@@ -220,13 +222,18 @@ class PhotoPixels:
         smaller = max(1, round(width / shrink)), max(1, round(height / shrink))
         if pixels.shape[1::-1] != smaller:
             pixels = np.asarray(cv2.resize(pixels, smaller, interpolation=cv2.INTER_AREA), np.uint8)
-        return np.ascontiguousarray(pixels)
+        return np.ascontiguousarray(in_srgb(pixels, profile))
 
-    def _decoded(self, data: bytes, shrink: float) -> Bytes:
-        """Decode to (h,w,3), rotated as the decoder does; JPEG at a half, quarter or eighth where that is enough."""
+    def _decoded(self, data: bytes, shrink: float) -> tuple[Bytes, bytes]:
+        """Decode to (h,w,3), rotated as the decoder does; JPEG at a half, quarter or eighth where that is enough.
+
+        Returns also the ICC profile, b"" without one.
+        """
         if self.decoder == "heif":
             return _decode_heif(data)
-        return _decode_pillow(data) if self.decoder == "pillow" else _decode_opencv(data, self.file, self._by(shrink))
+        if self.decoder == "pillow":
+            return _decode_pillow(data), profile_of(data)
+        return _decode_opencv(data, self.file, self._by(shrink)), profile_of(data)
 
     def _by(self, shrink: float) -> int:
         """Return the largest divisor of both sides, at most `shrink`, that the decoder supports.
@@ -252,12 +259,13 @@ def alpha_channel(path: Path, file: str) -> Bytes | None:
     return np.asarray(pixels[..., 3] // (257 if pixels.dtype == np.uint16 else 1), np.uint8)
 
 
-def _decode_heif(data: bytes) -> Bytes:
-    """Decode a HEIF image to (h,w,3), rotated as the file says."""
+def _decode_heif(data: bytes) -> tuple[Bytes, bytes]:
+    """Decode a HEIF image to (h,w,3), rotated as the file says, with its ICC profile, b"" without one."""
     import pillow_heif
 
-    pixels = np.asarray(pillow_heif.open_heif(data, convert_hdr_to_8bit=True))
-    return pixels[..., :3] if pixels.ndim == 3 and pixels.shape[2] > 2 else _grey(pixels)
+    image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True)
+    pixels, profile = np.asarray(image), bytes(image.info.get("icc_profile") or b"")
+    return pixels[..., :3] if pixels.ndim == 3 and pixels.shape[2] > 2 else _grey(pixels), profile
 
 
 def _grey(pixels: Bytes) -> Bytes:
@@ -269,7 +277,7 @@ def _decode_pillow(data: bytes) -> Bytes:
     from PIL import Image
 
     with Image.open(BytesIO(data), formats=_PILLOW_FORMATS) as image:
-        return np.asarray(image.convert("RGB"))
+        return rgb_of(image)
 
 
 def _decode_opencv(data: bytes, file: str, by: int) -> Bytes:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.capture.colour_profile import rgb_of
 from capture2vr.edge.capture.files import Folder, translate_errors, truncated
 from capture2vr.edge.capture.images import check_header, read_bytes
 from capture2vr.edge.clouds.gltf import LIGHT, find_uri, plain_gltf
@@ -202,6 +203,6 @@ def _texture(image: Any, visual: Any, faces: Ints, pictures: _Pictures) -> Colou
         return None
     uv = np.asarray(visual.uv, np.float64)
     if id(image) not in pictures:
-        pictures[id(image)] = np.asarray(image.convert("RGB"))
+        pictures[id(image)] = rgb_of(image)
     pixels = pictures[id(image)]
     return lambda triangle, weights: nearest_texels(pixels, np.einsum("nc,ncd->nd", weights, uv[faces[triangle]]))

@@ -21,6 +21,7 @@ from capture2vr.edge.arrays import Floats, Ints, Tick
 from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
 from capture2vr.edge.capture.images import check_header, header_size, read_bytes
 from capture2vr.edge.capture.nouns import Cloud
+from capture2vr.edge.capture.text_encoding import decode_text
 from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.mtl import Material, read_mtl
 from capture2vr.edge.clouds.obj_colours import ObjColours
@@ -207,7 +208,7 @@ class _Reader:
 
 
 def _rest(line: bytes) -> str:
-    return line.split(None, 1)[1].strip().decode("utf-8", "replace")
+    return decode_text(line.split(None, 1)[1].strip())
 
 
 def _corner_indices(corners: list[bytes]) -> Ints:

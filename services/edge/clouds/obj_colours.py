@@ -8,6 +8,7 @@ from io import BytesIO
 import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.capture.colour_profile import rgb_of
 from capture2vr.edge.capture.files import Folder, translate_errors
 from capture2vr.edge.capture.images import check_pixels, read_bytes
 from capture2vr.edge.clouds.mtl import Material
@@ -71,4 +72,4 @@ def _decode(folder: Folder, name: str) -> Bytes:
 
     with translate_errors(name, "picture"), Image.open(BytesIO(read_bytes(folder.path(name), name))) as image:
         check_pixels(image.size, name)
-        return np.asarray(image.convert("RGB"), np.uint8)
+        return rgb_of(image)

@@ -14,13 +14,14 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import translate_errors, unreadable
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.capture.npy_array import npy_array
+from capture2vr.edge.capture.text_encoding import encoding_of
 from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.column_names import meanings
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
 from capture2vr.edge.clouds.table_columns import COMMENTS, Columns, named_by, without_names
 from capture2vr.edge.clouds.table_dialect import Dialect, dialect_of, width_of
 from capture2vr.edge.clouds.table_rows import RowReader
-from capture2vr.edge.clouds.table_text import decode_head, encoding_of, pieces
+from capture2vr.edge.clouds.table_text import decode_head, pieces
 from capture2vr.edge.clouds.unnamed_columns import MOST_COLUMNS, column_layout
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from capture2vr.edge.capture.text_encoding import encoding_of
 from capture2vr.edge.clouds import table_text
 from capture2vr.edge.clouds.tables import read_table
 from capture2vr.edge.errors import CaptureError
@@ -111,6 +112,6 @@ def test_a_large_table_is_read_in_pieces_of_whole_lines(tmp_path: Path, monkeypa
         plain = text.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
         for size in (7, 64, 1_000):
             monkeypatch.setattr(table_text, "PIECE", size)
-            found = list(table_text.pieces(tmp_path / "a.txt", *table_text.encoding_of(text)))
+            found = list(table_text.pieces(tmp_path / "a.txt", *encoding_of(text)))
             assert "".join(found) == plain
             assert all(each.endswith("\n") for each in found)
