@@ -39,6 +39,8 @@ def cloud_of(capture: Capture) -> Cloud:
         ("csv_name_first", 3_000, None),
         ("csv_pandas_index", 3_000, COLOURS),
         ("csv_units", 3_000, COLOURS),
+        ("glb_emissive_only", 100_000, (128, 127, 40)),
+        ("glb_points", 3_000, COLOURS),
         ("gltf_asset_late", 100_000, None),
         ("las_rgb_all_zero", 3_000, (130, 130, 130)),
         ("obj_cp1252_names", 100_000, COLOURS),

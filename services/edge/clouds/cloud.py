@@ -224,13 +224,15 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
         sampled, dropped = _sample_mesh([obj.surface], name)
         return sampled, (*obj.warnings, *dropped)
     if kind in _MESHES:
-        surfaces, absent = read_mesh(folder, name, kind)
-        if not surfaces:
+        mesh = read_mesh(folder, name, kind)
+        if mesh.points is not None:
+            return mesh.points, mesh.warnings
+        if not mesh.surfaces:
             raise CaptureError(
                 "CAPTURE_EMPTY", say("mesh_without_triangles"), file=name, hints=(say("export_mesh_again"),)
             )
-        sampled, dropped = _sample_mesh(surfaces, name)
-        return sampled, (*absent, *dropped)
+        sampled, dropped = _sample_mesh(mesh.surfaces, name)
+        return sampled, (*mesh.warnings, *dropped)
     return {"pcd": read_pcd, "npy": read_npy}[kind](path, name), ()
 
 

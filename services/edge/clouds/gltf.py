@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder, parse_json, translate_errors, truncated, unreadable
-from capture2vr.edge.clouds.gltf_tree import TRANSFORM, used_tree, without_unread
+from capture2vr.edge.clouds.gltf_tree import FAN, POINTS, TRANSFORM, TRIANGLES, used_tree, without_unread
 from capture2vr.edge.clouds.tables import MAX_POINTS, too_many_points
+from capture2vr.edge.srgb import to_srgb
 from capture2vr.sentences.sentence import say
 
 LIGHT = "_LIGHT"
@@ -27,7 +28,7 @@ LIGHT = "_LIGHT"
 
 _GLB_HEADER = 12
 _BIN = b"BIN\0"
-_FLOAT = 5126
+_FLOAT, _INDEX = 5126, 5125
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", _FLOAT: "<f4"}
 _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _GLOSS = "KHR_materials_pbrSpecularGlossiness"
@@ -64,6 +65,8 @@ def plain_gltf(
         for mesh in tree["meshes"]:
             for primitive in mesh["primitives"]:
                 primitive["attributes"] = _plain_attributes(primitive, tree, buffers)
+                if primitive.get("mode") == FAN:
+                    primitive |= {"mode": TRIANGLES, "indices": buffers.add_fan(primitive)}
         plain = without_unread(tree, sum(map(len, buffers.contents.values())), file)
         return json.dumps(plain).encode(), buffers.contents
 
@@ -165,13 +168,27 @@ class _Buffers:
                 if self._tree["accessors"][index].get("normalized", False):
                     rows = _unit(rows)
                 rows = np.ascontiguousarray(change(rows), "<f4")
-            view = {"buffer": len(self._tree["buffers"]), "byteLength": rows.nbytes}
-            place = {"bufferView": len(self._tree["bufferViews"]), "count": len(rows), "componentType": _FLOAT}
-            self._added[index, name] = len(self._tree["accessors"])
-            self._tree["buffers"].append({"uri": self._keep(rows.tobytes()), "byteLength": rows.nbytes})
-            self._tree["bufferViews"].append(view)
-            self._tree["accessors"].append(place | {"type": f"VEC{rows.shape[1]}"})
+            self._added[index, name] = self._keep_accessor(rows, _FLOAT, f"VEC{rows.shape[1]}")
         return self._added[index, name]
+
+    def add_fan(self, primitive: dict[str, Any]) -> int:
+        """Add the indices of the triangles of a fan; return the index of their accessor."""
+        if "indices" in primitive:
+            corners = self._rows(primitive["indices"])[:, 0]
+        else:
+            corners = np.arange(self._tree["accessors"][primitive["attributes"]["POSITION"]]["count"])
+        inner = np.arange(1, max(1, len(corners) - 1))
+        triangles = np.ascontiguousarray(corners[np.stack([0 * inner, inner, inner + 1], axis=1)], "<u4")
+        return self._keep_accessor(triangles.reshape(-1, 1), _INDEX, "SCALAR")
+
+    def _keep_accessor(self, rows: NDArray[Any], component: int, kind: str) -> int:
+        """Add an accessor of rows, with a buffer of their own; return its index."""
+        view = {"buffer": len(self._tree["buffers"]), "byteLength": rows.nbytes}
+        place = {"bufferView": len(self._tree["bufferViews"]), "count": len(rows), "componentType": component}
+        self._tree["buffers"].append({"uri": self._keep(rows.tobytes()), "byteLength": rows.nbytes})
+        self._tree["bufferViews"].append(view)
+        self._tree["accessors"].append(place | {"type": kind})
+        return len(self._tree["accessors"]) - 1
 
     def _rows(self, index: int) -> NDArray[Any]:
         """The rows (N,k) of an accessor, as they are stored."""
@@ -203,7 +220,8 @@ class _Buffers:
 
 
 def _plain_attributes(primitive: dict[str, Any], tree: dict[str, Any], buffers: _Buffers) -> dict[str, int]:
-    """The attributes that are used of a primitive: POSITION, and TEXCOORD_0 and LIGHT where it has them."""
+    """The attributes that are used of a primitive: POSITION, and TEXCOORD_0 and LIGHT where it has them; of points
+    COLOR_0, in sRGB."""
     attributes: dict[str, int] = primitive["attributes"]
     position = attributes["POSITION"]
     is_plain = buffers.is_plain(position)
@@ -214,7 +232,9 @@ def _plain_attributes(primitive: dict[str, Any], tree: dict[str, Any], buffers: 
         uv = attributes.get(f"TEXCOORD_{texture['texCoord']}")
         if uv is not None:
             plain["TEXCOORD_0"] = _plain_uv(uv, texture["transform"], buffers)
-    if "COLOR_0" in attributes:
+    if "COLOR_0" in attributes and primitive.get("mode") == POINTS:  # trimesh keeps no attributes of points
+        plain["COLOR_0"] = buffers.add(attributes["COLOR_0"], "sRGB", lambda rows: to_srgb(_light(rows)) / 255)
+    elif "COLOR_0" in attributes:
         plain[LIGHT] = buffers.add(attributes["COLOR_0"], "light", _light)
     return plain
 

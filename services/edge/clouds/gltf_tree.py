@@ -23,7 +23,8 @@ _MAX_DEPTH = 200  # nodes above a node; skeletons have some fifty
 _LEAST_ROW = 12  # bytes of a row that is copied: three floats
 _MOST_VIEWED = 4  # times the bytes of all buffers: trimesh copies each view
 _LEAST_VIEWED = 2**24  # bytes that views may have in any case
-TRIANGLES, STRIP = 4, 5  # modes of primitives that trimesh makes a mesh of
+POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6  # modes of primitives that are read
+_READ_MODES = (POINTS, TRIANGLES, STRIP, FAN)
 TRANSFORM = "KHR_texture_transform"
 _NODE_KEYS = ("mesh", "matrix", "translation", "rotation", "scale")
 _NOTHING = {"componentType": 5121, "count": 0, "type": "SCALAR"}  # an accessor that nobody reads
@@ -119,12 +120,12 @@ def _too_large(what: str, file: str) -> CaptureError:
 
 
 def _meshes(tree: Mapping[str, Any], file: str) -> list[dict[str, Any]]:
-    """Copy the primitives that are triangles, with what is read of them."""
+    """Copy the primitives that are triangles or points, with what is read of them."""
     meshes = [mesh["primitives"] for mesh in tree.get("meshes", [])]
     if (count := sum(map(len, meshes))) > MAX_PARTS:
         raise too_many_entries("primitives", count, MAX_PARTS, file)
     return [
-        {"primitives": [_primitive(each) for each in mesh if each.get("mode", TRIANGLES) in (TRIANGLES, STRIP)]}
+        {"primitives": [_primitive(each) for each in mesh if each.get("mode", TRIANGLES) in _READ_MODES]}
         for mesh in meshes
     ]
 
@@ -141,12 +142,15 @@ def _primitive(primitive: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _material(material: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy a material's base colour."""
+    """Copy a material's base colour; of one that is black and shines by itself, the colour that it shines in."""
     given = material.get("pbrMetallicRoughness", {})
     base: dict[str, Any] = {}
     if "baseColorFactor" in given:
         base["baseColorFactor"] = given["baseColorFactor"][:4]
-    if (texture := given.get("baseColorTexture")) is not None:
+    texture, shines = given.get("baseColorTexture"), material.get("emissiveFactor", ())
+    if any(shines) and not any(base.get("baseColorFactor", (1,))[:3]):
+        texture, base["baseColorFactor"] = material.get("emissiveTexture"), [*shines[:3], 1.0]
+    if texture is not None:
         transform = texture.get("extensions", {}).get(TRANSFORM, {})
         base["baseColorTexture"] = {
             "index": int(texture["index"]),

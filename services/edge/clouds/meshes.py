@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
 
@@ -13,9 +14,12 @@ from capture2vr.edge.arrays import Bytes, Floats, Ints
 from capture2vr.edge.capture.colour_profile import rgb_of
 from capture2vr.edge.capture.files import Folder, translate_errors, truncated
 from capture2vr.edge.capture.images import check_header, read_bytes
+from capture2vr.edge.capture.nouns import Cloud
+from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.gltf import LIGHT, find_uri, plain_gltf
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, ColourAt, SampledSurface, too_many_faces
 from capture2vr.edge.clouds.surface_colours import TexturePixels, absent_textures, nearest_texels, vertex_colours
+from capture2vr.edge.clouds.tables import MAX_POINTS, too_many_points
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.sentences.sentence import say
@@ -58,10 +62,18 @@ class _SiblingFiles(Mapping[str, bytes]):
         return len(self._folder.names)
 
 
-def read_mesh(folder: Folder, file: str, kind: str) -> tuple[list[SampledSurface], tuple[str, ...]]:
-    """Read the triangles of a file of `kind` "off", "stl", "glb" or "gltf", in the scene's frame.
+@dataclass(frozen=True, slots=True)
+class MeshFile:
+    """What a mesh file has, in the scene's frame: its surfaces, else its points if it has any, and warnings."""
 
-    Returns an empty list when there are no triangles, and warnings.
+    surfaces: list[SampledSurface]
+    points: Cloud | None
+    warnings: tuple[str, ...]
+
+
+def read_mesh(folder: Folder, file: str, kind: str) -> MeshFile:
+    """Read the triangles, else the points, of a file of `kind` "off", "stl", "glb" or "gltf".
+
     Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
     """
     import trimesh
@@ -89,7 +101,26 @@ def read_mesh(folder: Folder, file: str, kind: str) -> tuple[list[SampledSurface
         _check_textures(loaded, nodes, file)
         pictures: _Pictures = {}
         surfaces = [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
-    return surfaces, absent_textures(file, beside.absent)
+        points = None if surfaces else _points(loaded, nodes, file)
+    return MeshFile(surfaces, points, absent_textures(file, beside.absent))
+
+
+def _points(scene: Any, nodes: Sequence[str], file: str) -> Cloud | None:
+    """Return the points of a scene that has no triangles, or None; their colours where all nodes have some."""
+    import trimesh
+
+    placed = [scene.graph[node] for node in nodes]
+    clouds = [(pose, scene.geometry[name]) for pose, name in placed]
+    clouds = [(pose, cloud) for pose, cloud in clouds if isinstance(cloud, trimesh.PointCloud)]
+    if (count := sum(len(cloud.vertices) for _, cloud in clouds)) > MAX_POINTS:
+        raise too_many_points(count, file)
+    if not count:
+        return None
+    xyz = [np.asarray(cloud.vertices, np.float64) @ pose[:3, :3].T + pose[:3, 3] for pose, cloud in clouds]
+    colours = [np.asarray(cloud.colors) for _, cloud in clouds]
+    coloured = all(len(each) == len(cloud.vertices) for each, (_, cloud) in zip(colours, clouds, strict=True))
+    rgb, notes = read_colours(np.concatenate(colours)[:, :3] if coloured else None)
+    return Cloud(np.concatenate(xyz), rgb, notes=notes)
 
 
 def _check_off(data: bytes, file: str) -> None:

@@ -217,6 +217,55 @@ def test_the_diffuse_texture_of_an_older_material_is_its_colour() -> None:
     assert_ramp(data, lambda u, v: (u, v))
 
 
+def test_a_black_material_that_shines_has_the_colour_that_it_shines_in() -> None:
+    black: dict[str, object] = {"baseColorFactor": [0, 0, 0, 1]}
+    shines: dict[str, object] = {"emissiveFactor": [1, 1, 1], "emissiveTexture": {"index": 0}}
+    attributes = {"POSITION": SQUARE, "TEXCOORD_0": UV}
+    data = captures.glb_bytes(attributes, TWO, material={"pbrMetallicRoughness": black, **shines}, picture=RAMP)
+    assert_ramp(data, lambda u, v: (u, v))
+    lit = captures.glb_bytes(
+        attributes, TWO, material={"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}, **shines}, picture=RAMP
+    )
+    assert (colours_of(lit) == (255, 0, 0)).all()
+    alone = {"pbrMetallicRoughness": black, "emissiveFactor": [0, 1, 0]}
+    assert (colours_of(captures.glb_bytes(attributes, TWO, material=alone)) == (0, 255, 0)).all()
+
+
+def with_mode(data: bytes, mode: int, **changes: object) -> bytes:
+    """A GLB whose primitive has another mode, and perhaps no indices."""
+    tree, chunk = parts_of(data)
+    primitive = tree["meshes"][0]["primitives"][0]
+    primitive |= {"mode": mode}
+    if "indices" in changes:
+        del primitive["indices"]
+    return captures.glb_of(tree, chunk)
+
+
+@pytest.mark.parametrize("kind", ["f4", "u1", "u2"])
+def test_points_are_a_cloud_with_their_colours(kind: str) -> None:
+    colour = (200, 60, 9)
+    attributes = {"POSITION": VERTICES, "COLOR_0": stored(colour, kind, 4)}
+    data = captures.glb_bytes(attributes, FACES, normalised=("COLOR_0",), node={"translation": [1, 2, 3]})
+    cloud = cloud_of(with_mode(data, 0, indices=None))
+    np.testing.assert_allclose(cloud.xyz, VERTICES + np.array([1, 2, 3]), atol=1e-6)
+    assert cloud.rgb is not None
+    # Eight bits of linear light are coarse where it is dark.
+    np.testing.assert_allclose(cloud.rgb, np.tile(colour, (len(VERTICES), 1)), atol=13 if kind == "u1" else 1)
+    assert cloud_of(with_mode(captures.glb_bytes({"POSITION": VERTICES}, FACES), 0, indices=None)).rgb is None
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_fan_is_triangles(indexed: bool) -> None:
+    turn = np.linspace(0, 2 * np.pi, 33)[:, None]
+    rim = np.hstack([np.cos(turn), np.sin(turn), 0 * turn])
+    corners = np.concatenate([[(0, 0, 0)], rim]).astype(np.float32)
+    data = captures.glb_bytes({"POSITION": corners}, np.arange(len(corners))[None])
+    cloud = cloud_of(with_mode(data, 6) if indexed else with_mode(data, 6, indices=None))
+    radius = np.linalg.norm(cloud.xyz, axis=1)
+    assert radius.max() <= 1 + 1e-6
+    assert np.mean(radius < 0.5) == pytest.approx(0.25, abs=0.02), "all of the disk, evenly"
+
+
 def test_a_gltf_with_its_buffer_beside_it_is_rewritten_too(tmp_path: Path) -> None:
     data = captures.glb_bytes({"POSITION": SQUARE, "COLOR_0": np.full((4, 3), 0.5, np.float32)}, TWO)
     tree, chunk = parts_of(data)
