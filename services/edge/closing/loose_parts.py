@@ -71,12 +71,13 @@ class LooseParts:
         return cls(mesh, face_normals(mesh.vertices, mesh.faces) / 2, number, int(number.max(initial=-1)) + 1)
 
     def missing(
-        self, support: Plane | None, eyes: Floats, cell: float, spacing: float, fill: Fill
+        self, support: Plane | None, eyes: Floats, cell: float, spacing: float, fill: Fill, *, hollow: bool = False
     ) -> tuple[Bools, bool]:
         """Return a mask (F,) of the faces of the parts that are missing surface, and whether the thing is closed with
-        them: whether no other part is large enough to be a true opening. eyes (M,3): where the cameras were."""
+        them: whether no other part is large enough to be a true opening, and the thing is not hollow, with an inside
+        that photos saw. eyes (M,3): where the cameras were."""
         if not self.count:
-            return np.zeros(len(self.number), bool), True
+            return np.zeros(len(self.number), bool), not hollow
         areas = np.linalg.norm(self.normals, axis=1)
         area = self._sum(self.number, areas)
         share = area / max(float(areas.sum()), 1e-300)
@@ -86,7 +87,7 @@ class LooseParts:
         stands = self._rests(support, around, bend, cell) & (share <= _MOST_SUPPORT)
         stands[stands] = (self._back(support, eyes, areas) <= _MOST_BACK)[stands]
         continues = (bend >= _CONTINUES) & (share <= _MOST_HOLE)
-        closed = float(share[~stands & ~continues].sum()) < _OPEN
+        closed = not hollow and float(share[~stands & ~continues].sum()) < _OPEN
         taken = area >= _LEAST * spacing**2
         if fill != "all" and not closed:
             taken &= stands | (continues & (area <= _SMALL * spacing**2))

@@ -42,7 +42,7 @@ def valid_mask(xyz: Floats) -> Bools:
 def returned(xyz: Floats) -> Floats:
     """Return coordinates (N,3) with NaN where a scanner saw nothing, which some of them write as (0, 0, 0)."""
     nothing = np.asarray(~xyz.any(axis=1))
-    return np.where(nothing[:, None], np.nan, xyz) if nothing.sum() >= _ZEROS else xyz
+    return np.where(nothing[:, None], np.nan, xyz) if _ZEROS <= nothing.sum() < len(xyz) else xyz
 
 
 def dropped_warnings(xyz: Floats, name: str) -> tuple[str, ...]:

@@ -57,6 +57,15 @@ def test_an_underside_is_missing_where_it_rests_on_the_floor_and_else_an_opening
     assert parts(ball(), below).missing(None, AROUND, CELL, SPACING, "all")[0].any()
 
 
+def test_a_lid_over_an_inside_that_photos_saw_is_none() -> None:
+    """A ball with a large hole above: without a word of its inside it is one that lacks something."""
+    above = ball().triangles_center[:, 2] > 0.3
+    for hollow in (False, True):
+        faces, closed = parts(ball(), above).missing(floor(-0.4), AROUND, CELL, SPACING, "unseen", hollow=hollow)
+        assert closed is not hollow
+        assert faces.any() is np.bool_(not hollow)
+
+
 @pytest.mark.parametrize(("top", "bottom", "gap", "taken"), [(0.1, 0.4, 0.15, False), (0.3, 0.3, 0.0, True)])
 def test_the_hem_of_a_skirt_stays_open_and_the_underside_of_a_box_does_not(
     top: float, bottom: float, gap: float, taken: bool
