@@ -24,7 +24,12 @@ def rgb_of(image: Any) -> Bytes:
     values = np.asarray(image).astype(np.int64)
     top = 65_535 if "16" in image.mode or values.max(initial=0) > 255 else 255
     grey = np.clip((values * 255 + top // 2) // top, 0, 255).astype(np.uint8)
-    return np.repeat(grey[..., None], 3, axis=2)
+    return grey_as_rgb(grey)
+
+
+def grey_as_rgb(pixels: Bytes) -> Bytes:
+    """Repeat a grey channel (h,w) or (h,w,n), with or without alpha, to three equal channels."""
+    return np.repeat(pixels.reshape(*pixels.shape[:2], -1)[..., :1], 3, axis=2)
 
 
 def profile_of(data: bytes) -> bytes:

@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from capture2vr.edge.arrays import Bytes
-from capture2vr.edge.capture.colour_profile import in_srgb, profile_of, rgb_of
+from capture2vr.edge.capture.colour_profile import grey_as_rgb, in_srgb, profile_of, rgb_of
 from capture2vr.edge.capture.files import translate_errors
 from capture2vr.edge.capture.images import broken_image, check_pixels, read_bytes
 from capture2vr.edge.errors import CaptureError
@@ -225,10 +225,8 @@ class PhotoPixels:
         return np.ascontiguousarray(in_srgb(pixels, profile))
 
     def _decoded(self, data: bytes, shrink: float) -> tuple[Bytes, bytes]:
-        """Decode to (h,w,3), rotated as the decoder does; JPEG at a half, quarter or eighth where that is enough.
-
-        Returns also the ICC profile, b"" without one.
-        """
+        """Decode to (h,w,3), rotated as the decoder does, JPEG at a half, quarter or eighth where that is enough; and
+        the ICC profile, b"" without one."""
         if self.decoder == "heif":
             return _decode_heif(data)
         if self.decoder == "pillow":
@@ -265,12 +263,7 @@ def _decode_heif(data: bytes) -> tuple[Bytes, bytes]:
 
     image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True)
     pixels, profile = np.asarray(image), bytes(image.info.get("icc_profile") or b"")
-    return pixels[..., :3] if pixels.ndim == 3 and pixels.shape[2] > 2 else _grey(pixels), profile
-
-
-def _grey(pixels: Bytes) -> Bytes:
-    """Repeat a grey channel, with or without alpha, to three equal channels."""
-    return np.repeat(pixels.reshape(*pixels.shape[:2], -1)[..., :1], 3, axis=2)
+    return pixels[..., :3] if pixels.ndim == 3 and pixels.shape[2] > 2 else grey_as_rgb(pixels), profile
 
 
 def _decode_pillow(data: bytes) -> Bytes:
