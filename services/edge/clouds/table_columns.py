@@ -33,7 +33,6 @@ class Columns:
     xyz, rgb, normals  three columns each; () where there are none
     intensity          None where there is none
     metres             length of the unit that the header names; None where it names none
-    named              whether the header tells, or only the values do
     """
 
     xyz: tuple[int, ...]
@@ -41,7 +40,6 @@ class Columns:
     normals: tuple[int, ...] = ()
     intensity: int | None = None
     metres: float | None = None
-    named: bool = False
 
     @property
     def used(self) -> tuple[int, ...]:
@@ -88,9 +86,8 @@ def _of_names(names: Sequence[str], found: Sequence[str], shift: int) -> Columns
         triple(_POINT),
         triple(_COLOURS[0]) or triple(_COLOURS[1]),
         triple(_NORMALS),
-        at.get("intensity"),
+        at["intensity"] if at.get("intensity", -1) > at["x"] else None,  # in front of them an "i" is an index
         units.pop() if len(units) == 1 else None,
-        named=True,
     )
 
 

@@ -56,6 +56,14 @@ def test_a_named_intensity_is_grey_where_there_are_no_colours(tmp_path: Path) ->
     assert capture.cloud is not None
     assert capture.cloud.rgb is not None
     assert "intensities" in " ".join(capture.warnings)
+    (tmp_path / "a.csv").write_bytes(
+        OddTable(header=("i", "x", "y", "z"), coloured=False, nothing="1 1 1", separator=";").written(
+            np.column_stack([np.arange(400), XYZ]), RGB
+        )
+    )
+    counted = read_capture(tmp_path).cloud
+    assert counted is not None
+    assert counted.rgb is None
     (tmp_path / "a.csv").unlink()
     (tmp_path / "a.ply").write_bytes(captures.ply_bytes(XYZ, np.zeros_like(RGB, np.uint8)))
     never = read_capture(tmp_path)
