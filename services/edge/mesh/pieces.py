@@ -65,6 +65,9 @@ def list_pieces(areas: Sequence[float], kept: Sequence[bool], reasons: Sequence[
 def without_collapsed(mesh: Mesh) -> Mesh:
     """Return a mesh without its pieces that have no area: tightening draws a tetrahedron that stands off the points
     together to one point."""
+    doubled = np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1)
+    if doubled.min(initial=np.inf) > _COLLAPSED * doubled.sum():
+        return mesh  # as nearly always, in a tenth of the time
     split = SplitMesh.of(mesh)
     kept = split.areas > _COLLAPSED * split.areas.sum()
     return mesh if kept.all() else Mesh(mesh.vertices, mesh.faces[kept[split.piece]])
