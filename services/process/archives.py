@@ -28,7 +28,7 @@ _COMPRESSIONS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what phones write;
 _ENCRYPTED = 0x1  # general purpose bit flag, APPNOTE 4.4.4
 _MAX_NAME_BYTES = 255  # of a file name on common file systems
 _MAX_PATH_BYTES = 1000  # of a file with its folders; Linux opens none over 4,096, those above the target included
-_JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini", "Icon\r"}
+JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini", "Icon\r"}
 _UTF8 = 0x800  # flag of an entry whose name is UTF-8
 _DRIVE_LETTER = re.compile(r"[A-Za-z]:")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f]")
@@ -227,7 +227,7 @@ def _check_inside(name: str) -> None:
 
 def _is_junk(part: str) -> bool:
     """Return whether a part of a name is of what systems leave in zips: `Icon\\r` has a folder's picture on a Mac."""
-    return part.startswith(".") or part in _JUNK_NAMES
+    return part.startswith(".") or part in JUNK_NAMES
 
 
 def _path_of(name: str) -> PurePosixPath:

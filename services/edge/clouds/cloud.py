@@ -109,7 +109,7 @@ def _by_text(head: bytes) -> str | None:
         return "stl"
     if re.search(r"^[ \t]*v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]\S*[ \t]+[-+.\dna]", text, re.M | re.I):
         return "obj"
-    return "xyz" if looks_numeric(head, whole=len(head) < _SNIFF_BYTES) else None
+    return "xyz" if looks_numeric(text[: text.rfind("\n")] if len(head) == _SNIFF_BYTES else text) else None
 
 
 def read_cloud(folder: Folder, name: str, kind: str) -> Capture:

@@ -53,7 +53,7 @@ def read_colours(
     if stored is not None and len(stored) and not _are_filled(stored):
         stored, notes = None, (say("colours_never_filled"),)
     if stored is None and intensity is not None and _are_filled(intensity):
-        stored = grey(intensity)
+        stored = _grey(intensity)
     if stored is None:
         return None, notes
     if stored.dtype == np.uint16 and _are_grey(_some(stored)):
@@ -66,7 +66,7 @@ def _are_filled(values: NDArray[Any]) -> bool:
     return bool(np.nan_to_num(values[: len(values) // 100 + 1]).any() or np.nan_to_num(values).any())
 
 
-def grey(intensity: NDArray[Any]) -> NDArray[Any]:
+def _grey(intensity: NDArray[Any]) -> NDArray[Any]:
     """Return intensities (N,) as stored colours (N,3): 16 bits, of which what most of them reach is white."""
     known = np.nan_to_num(intensity.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     top = float(np.quantile(known[:: max(1, len(known) // _LOOKED_AT)], _TOP)) if len(known) else 0.0

@@ -10,9 +10,8 @@ import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.clouds.column_names import meanings, metres_of
-from capture2vr.edge.clouds.table_dialect import Dialect
+from capture2vr.edge.clouds.table_dialect import Dialect, is_remark
 
-COMMENTS = ("#", "//", "%", "!")
 _POINT = ("x", "y", "z")
 _COLOURS = (("red", "green", "blue"), ("rf", "gf", "bf"))
 _NORMALS = ("nx", "ny", "nz")
@@ -60,15 +59,13 @@ def named_by(header: Sequence[str], dialect: Dialect, width: int) -> tuple[Colum
                 return _of_names(names, found, shift), found
             if {"latitude", "longitude"} <= {*found}:
                 return None, found
-    names = dialect.fields(header[-1]) if header and not header[-1].strip().startswith(COMMENTS) else []
+    names = dialect.fields(header[-1]) if header and not is_remark(header[-1]) else []
     return None, names if len(names) == width and all(map(_NAME.fullmatch, names)) else []
 
 
 def _readings(line: str, dialect: Dialect, width: int) -> Iterator[tuple[list[str], int]]:
     """Yield the names that a line may have, by one separator after the other, and the column that the first is of."""
-    text = line.strip()
-    remark = text.startswith(COMMENTS)
-    text = text.lstrip("#/%! ")
+    remark, text = is_remark(line), line.strip().lstrip("#/%! ")
     for separator in dict.fromkeys((dialect.separator, "\t", ";", ",", " ")):
         names = Dialect(separator, ".", '"' in text).fields(text)
         if len(names) == width or not remark:
@@ -99,7 +96,7 @@ def without_names(rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[int,
     """
     columns = dict(enumerate(zip(*rows, strict=False)))  # as many as the shortest row has
     values = {
-        number: np.array([_value(dialect, field) for field in fields])
+        number: np.array([dialect.value(field) for field in fields], np.float64)
         for number, fields in columns.items()
         if sum(map(dialect.is_number, fields)) >= _SOME_NUMBERS * len(rows)
     }
@@ -109,13 +106,6 @@ def without_names(rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[int,
     if len(usable) > 4 and _number_a_scan(*(values[number] for number in usable[:5])):
         return tuple(usable[2:])
     return tuple(usable)
-
-
-def _value(dialect: Dialect, field: str) -> float:
-    try:
-        return float(dialect.as_python(field))
-    except ValueError:
-        return np.nan
 
 
 def _are_times(column: Floats) -> bool:

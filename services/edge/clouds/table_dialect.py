@@ -8,6 +8,9 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+_REMARKS = ("#", "//", "%", "!")
+_NONE = ("", "na", "n/a", "null", "none", "-", "nodata")
+"""What programs write for no number."""
 _SEPARATORS = ("\t", ";", "|", ",", " ", "")
 """In the order in which they are tried: " " stands for any blanks, "" for blanks, commas and semicolons alike."""
 _FEWEST = 3
@@ -56,6 +59,15 @@ class Dialect:
             return text.replace(".", "").replace(",", ".") if self.separator != "," or self.quoted else text
         return text.replace(",", "") if self.separator not in (",", "") and "," in text else text
 
+    def value(self, field: str) -> float | None:
+        """Return a field's number; NaN where it is empty or says that there is none; None where it is a text."""
+        if field.lower() in _NONE:
+            return float("nan")
+        try:
+            return float(self.as_python(field).replace("d", "e").replace("D", "e"))
+        except ValueError:
+            return None
+
     def numbers(self, line: str) -> int:
         """Return how many of a line's fields are numbers; none where one field is several numbers."""
         fields = self.fields(line)
@@ -66,6 +78,16 @@ class Dialect:
     def is_row(self, line: str) -> bool:
         """Return whether a line has the numbers of a point."""
         return self.numbers(line) >= _FEWEST
+
+
+def is_remark(line: str) -> bool:
+    """Return whether a line is a remark."""
+    return line.strip().startswith(_REMARKS)
+
+
+def is_content(line: str) -> bool:
+    """Return whether a line is more than empty, a remark, or the number of points, which stands above a scan's rows."""
+    return bool(bare := line.strip()) and not is_remark(bare) and not bare.isdigit()
 
 
 def dialect_of(lines: Sequence[str]) -> Dialect | None:

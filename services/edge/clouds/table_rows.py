@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
-from capture2vr.edge.clouds.table_dialect import Dialect
+from capture2vr.edge.clouds.table_dialect import Dialect, is_content
 
 _BLOCK = 500  # lines that are read one by one where one of them is odd
 _NO_NUMBER = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.I)
@@ -25,7 +25,6 @@ class RowReader:
 
     dialect: Dialect
     used: Sequence[int]
-    remarks: tuple[str, ...]
     dropped: int = 0
     _separator: str | None = field(init=False)
 
@@ -76,22 +75,13 @@ class RowReader:
         rows = list(self._rows(lines))
         return np.array(rows, np.float64).reshape(len(rows), len(self.used))
 
-    def _rows(self, lines: Sequence[str]) -> Iterator[list[float]]:
+    def _rows(self, lines: Sequence[str]) -> Iterator[list[float | None]]:
         for line in lines:
-            if not (text := line.strip()) or text.startswith(self.remarks) or text.isdigit():
+            if not is_content(line):
                 continue
             fields = self.dialect.fields(line)
-            row = [self._number(fields[column]) if column < len(fields) else None for column in self.used]
+            row = [self.dialect.value(fields[column]) if column < len(fields) else None for column in self.used]
             if None in row[:3]:
                 self.dropped += 1
             else:
-                yield [np.nan if each is None else each for each in row]
-
-    def _number(self, text: str) -> float | None:
-        """Return a field's number; NaN where it is empty or says that there is none; None where it is a text."""
-        if not text or text.lower() in ("na", "n/a", "null", "none", "-", "nodata"):
-            return np.nan
-        try:
-            return float(self.dialect.as_python(text).replace("d", "e").replace("D", "e"))
-        except ValueError:
-            return None
+                yield row

@@ -10,6 +10,7 @@ from pathlib import Path
 from capture2vr.edge.capture.text_encoding import encoding_of
 
 PIECE = 2**24  # bytes that are decoded at once: 50 MB as Python's lines, while a table may have a gigabyte
+_LONGEST = 2**24  # characters of a line; joining it piece by piece costs the square of its length
 _LINE_ENDS = re.compile(r"\r\n?")
 
 
@@ -22,7 +23,7 @@ def decode_head(head: bytes) -> str:
 def pieces(path: Path, encoding: str, mark: int) -> Iterator[str]:
     """Yield a file's text in pieces of whole lines, which end with "\\n"; only the last line may not.
 
-    A line of more than PIECE bytes is a piece of its own, however long it is.
+    A line of more than _LONGEST characters comes in several pieces: no table has one, and it is not worth joining.
     """
     decoder, left = codecs.getincrementaldecoder(encoding)("replace"), ""
     with path.open("rb") as stream:
@@ -35,6 +36,9 @@ def pieces(path: Path, encoding: str, mark: int) -> Iterator[str]:
             left = text[end:] + ("\r" if held else "")
             if end:
                 yield text[:end]
+            elif len(left) > _LONGEST:
+                yield left
+                left = ""
     left = _LINE_ENDS.sub("\n", left + decoder.decode(b"", final=True))
     if left:
         yield left

@@ -18,10 +18,10 @@ from capture2vr.edge.capture.text_encoding import encoding_of
 from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.column_names import meanings
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
-from capture2vr.edge.clouds.table_columns import COMMENTS, Columns, named_by, without_names
-from capture2vr.edge.clouds.table_dialect import Dialect, dialect_of, width_of
+from capture2vr.edge.clouds.table_columns import Columns, named_by, without_names
+from capture2vr.edge.clouds.table_dialect import Dialect, dialect_of, is_content, width_of
 from capture2vr.edge.clouds.table_rows import RowReader
-from capture2vr.edge.clouds.table_text import decode_head, pieces
+from capture2vr.edge.clouds.table_text import pieces
 from capture2vr.edge.clouds.unnamed_columns import MOST_COLUMNS, column_layout
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
@@ -89,16 +89,15 @@ def raw_columns(columns: dict[str, NDArray[Any]], file: str) -> RawPart:
     return RawPart(np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1), first_present(columns, RGB))
 
 
-def looks_numeric(head: bytes, *, whole: bool) -> bool:
+def looks_numeric(text: str) -> bool:
     """Return whether a text is a table of points: most of its first lines are rows of at least three numbers, all but
-    remarks and a header. whole: whether `head` is all of it, or its last line may be cut off"""
-    text = decode_head(head)
-    lines = (text if whole else text[: text.rfind("\n")]).split("\n")[: 2 * _LOOKED_AT]
-    if "\0" in text or max(map(len, lines)) > _MAX_LINE or (dialect := dialect_of(_without_remarks(lines))) is None:
+    remarks and a header."""
+    lines = text.split("\n")[: 2 * _LOOKED_AT]
+    if max(map(len, lines)) > _MAX_LINE or (dialect := dialect_of(list(filter(is_content, lines)))) is None:
         return False
-    at = next(number for number, line in enumerate(lines) if dialect.is_row(line))
-    rows = _without_remarks(lines[at:])
-    named, _ = named_by(lines[:at], dialect, width_of(dialect, rows))
+    first = _first_row(lines, dialect)
+    rows = list(filter(is_content, lines[first:]))
+    named, _ = named_by(lines[:first], dialect, width_of(dialect, rows))
     return sum(map(dialect.is_row, rows)) >= (_ENOUGH_NAMED if named else _ENOUGH_ROWS) * len(rows)
 
 
@@ -111,7 +110,7 @@ def read_table(path: Path, file: str) -> tuple[Cloud, tuple[str, ...], float | N
     """
     with translate_errors(file, "table of numbers"):
         layout = _layout_of(path, file)
-        reader = RowReader(layout.dialect, layout.used, COMMENTS)
+        reader = RowReader(layout.dialect, layout.used)
         table = _read_rows(reader, path, layout, file)
     columns = layout.columns
     cloud = _of_columns(table, columns) if columns else _unnamed_columns(table, counted=layout.counted)
@@ -142,10 +141,10 @@ def _layout_of(path: Path, file: str) -> _Layout:
     """Tell how a table is written by its first lines. Raises CaptureError where that is no table of points."""
     encoding, mark = encoding_of(_head(path))
     lines = _first_lines(path, encoding, mark, file)
-    dialect = dialect_of(_without_remarks(lines))
+    dialect = dialect_of(list(filter(is_content, lines)))
     if dialect is None:
         raise _no_rows(lines, file)
-    first = next(number for number, line in enumerate(lines) if dialect.is_row(line))
+    first = _first_row(lines, dialect)
     header, below = lines[:first], [line for line in lines[first:] if dialect.is_row(line)]
     columns, names = named_by(header, dialect, width_of(dialect, below))
     if columns is None and names:
@@ -180,14 +179,14 @@ def _first_lines(path: Path, encoding: str, mark: int, file: str) -> list[str]:
     return lines
 
 
-def _without_remarks(lines: Sequence[str]) -> list[str]:
-    """Return lines without empty ones, remarks, and those in which the number of points stands."""
-    return [line for line in lines if (bare := line.strip()) and not bare.startswith(COMMENTS) and not bare.isdigit()]
+def _first_row(lines: Sequence[str], dialect: Dialect) -> int:
+    """Return the number of the first line that is a row."""
+    return next(number for number, line in enumerate(lines) if dialect.is_row(line))
 
 
 def _no_rows(lines: Sequence[str], file: str) -> CaptureError:
     """Return the error for lines none of which is a row of three numbers."""
-    rows = _without_remarks(lines)
+    rows = list(filter(is_content, lines))
     if not rows:
         return CaptureError("CAPTURE_EMPTY", say("has_no_rows_numbers"), file=file)
     if len(rows) == 1:

@@ -6,17 +6,18 @@ import re
 import unicodedata
 from pathlib import PurePosixPath
 
+from capture2vr.process.archives import JUNK_NAMES
+
 # ASCII characters with a special meaning in some file system or shell.
 _UNSAFE_CHARACTERS = re.compile(r"[^\w .,()+@=\u0080-\U0010ffff-]")
 _SEGMENT_BYTES = 150  # of the 255 that file systems allow: leaves space for a number that makes the name unique
 _MOST_SEGMENTS = 8
-_JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini", "Icon\r"}
 
 
 def safe_name(name: str) -> str:
     """Return a safe relative path for an uploaded file; "" for `.DS_Store`, `Thumbs.db` and such, to be skipped."""
     segments = [part for part in re.split(r"[/\\]+", unicodedata.normalize("NFC", name)) if part.strip(". ")]
-    if not segments or any(part in _JUNK_NAMES for part in segments) or segments[-1].startswith("."):
+    if not segments or any(part in JUNK_NAMES for part in segments) or segments[-1].startswith("."):
         return ""
     return "/".join(_safe_segment(part) for part in segments[-_MOST_SEGMENTS:])
 

@@ -115,3 +115,12 @@ def test_a_large_table_is_read_in_pieces_of_whole_lines(tmp_path: Path, monkeypa
             found = list(table_text.pieces(tmp_path / "a.txt", *encoding_of(text)))
             assert "".join(found) == plain
             assert all(each.endswith("\n") for each in found)
+
+
+def test_a_line_without_an_end_is_not_joined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_text, "PIECE", 64)
+    monkeypatch.setattr(table_text, "_LONGEST", 1_000)
+    (tmp_path / "a.txt").write_bytes(b"1 2 3\n" + b"1" * 20_000)
+    found = list(table_text.pieces(tmp_path / "a.txt", "utf-8", 0))
+    assert max(map(len, found)) < 1_100
+    assert "".join(found) == "1 2 3\n" + "1" * 20_000
