@@ -33,6 +33,7 @@ from tests.bench.photo_sets import (
     thinned,
     write_transforms,
 )
+from tests.bench.seam import seam_figures
 from tests.conftest import data_folder
 from tests.support import scenes, surfaces
 
@@ -301,3 +302,16 @@ def test_a_row_that_fails_is_named_and_the_others_go_on(
 
 def test_each_row_has_a_folder_of_its_own() -> None:
     assert len({captures.slug(name) for name in captures.ROWS}) == len(captures.ROWS)
+
+
+def test_a_seam_is_what_bends_more_where_measured_and_filled_surface_meet() -> None:
+    ball = trimesh.creation.icosphere(4, 1.0)
+    filled = ball.vertices[:, 2] < 0
+    even = seam_figures(Mesh(ball.vertices, ball.faces), filled)
+    ring = 1 + 0.02 * np.random.default_rng(0).normal(size=len(filled)) * (np.abs(ball.vertices[:, 2]) < 0.1)
+    torn = seam_figures(Mesh(ball.vertices * ring[:, None], ball.faces), filled)
+    assert even["seam °"] == pytest.approx(even["skin °"], rel=0.1)
+    assert torn["skin °"] == even["skin °"]
+    assert torn["seam °"] is not None
+    assert torn["seam °"] > 2 * torn["skin °"]  # type: ignore[operator]
+    assert seam_figures(Mesh(ball.vertices, ball.faces), filled & False)["seam °"] is None

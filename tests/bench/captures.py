@@ -60,6 +60,7 @@ from tests.bench.photo_sets import (
     statue_points,
 )
 from tests.bench.photos import SEEN_BY, is_seen
+from tests.bench.seam import seam_figures
 from tests.support import scenes
 
 _ONE_IN = 8  # photos is held out
@@ -205,6 +206,7 @@ def one(name: str, out: Path | None = None) -> dict[str, Any]:
             "triangles": bundle.manifest["quality"]["triangles"],
             "pieces": bundle.manifest["quality"]["components"],
             **closing_figures(bundle.manifest["quality"]),
+            **seam_figures(full_mesh(bundle), filled_vertices(bundle)),
             **photo_figures(bundle.manifest["quality"].get("photos") or {}),
             "moved": _sharpness_when_moved(made.held_out),
             **_figures_of_truth(row, bundle, made.held_out),

@@ -28,6 +28,7 @@ from tests.bench.captures import (
 )
 from tests.bench.photo_sets import rendered
 from tests.bench.rendered_figures import Comparison, depth_by_luma, to_truth
+from tests.bench.seam import seam_figures
 from tests.support.photos.rendered.photos import SUBJECTS
 
 
@@ -56,6 +57,7 @@ def one(name: str, out: Path | None = None, photos: Path | None = None) -> dict[
             "seconds": round(made.seconds, 1),
             "pieces": quality["components"],
             **closing_figures(quality),
+            **seam_figures(laid, filled_vertices(made.bundle)),
             **{title: photo[title] for title in ("cover %", "lace %", "worst lace %", "leak %")},
             **Comparison(laid, truth, filled_vertices(made.bundle)).figures(),
             **depth_by_luma(truth, made.frames, to_shape),

@@ -57,7 +57,7 @@ def _closed(
 ) -> Points:
     """Return the points with inferred ones; pictures and the plane below are in the unit frame."""
     missing = infer_missing(unit.to_unit(points.xyz), points.rgb, pictures, below, fill, tick)
-    kept = replace(points.subset(~missing.fringe), closed=missing.closed)
+    kept = replace(points, xyz=unit.to_world(missing.measured), closed=missing.closed).subset(~missing.fringe)
     none_sure = np.zeros(len(missing.xyz), np.float32)
     return _with_points(kept, unit.to_world(missing.xyz), missing.rgb, none_sure, inferred=True)
 

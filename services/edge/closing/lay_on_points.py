@@ -1,4 +1,4 @@
-"""Lay a rough closed mesh on the points that it was fitted to, smoothly where there are none."""
+"""Lay a rough closed mesh on the points that it was fitted to, and smooth parts of it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
+from capture2vr.edge.arrays import Bools
 from capture2vr.edge.closing.oriented_points import OrientedPoints
 from capture2vr.edge.mesh.edges import edges_of, neighbour_laplacian
 from capture2vr.edge.mesh.normals import vertex_normals
@@ -19,6 +20,9 @@ _SURE = 3.0  # sum of the weights from which on a place is known as well as with
 _STIFF = 1.0  # weight of the offsets' bending
 _STILL = 0.01  # weight of no offset: bending alone goes on with a slope, and lifted a cup's whole bottom by a cell
 _EXACT, _STEPS = 1e-4, 300
+_FREE, _FIXED = 0.005, 100.0
+"""Weights of the place of a vertex that is smoothed, and of another: creases some cells wide go, bulges stay."""
+_EXACT_PLACES = 1e-6
 
 
 def lay_on_points(mesh: Mesh, points: OrientedPoints, spacing: float, cell: float) -> Mesh:
@@ -41,3 +45,17 @@ def lay_on_points(mesh: Mesh, points: OrientedPoints, spacing: float, cell: floa
     matrix = (diags_array(known + _STILL) + _STIFF * (bend.T @ bend)).tocsr()
     offset, _ = cg(matrix, known * wanted, rtol=_EXACT, maxiter=_STEPS, M=diags_array(1 / matrix.diagonal()))
     return Mesh(mesh.vertices + offset[:, None] * normals, mesh.faces)
+
+
+def smooth_parts(mesh: Mesh, faces: Bools) -> Mesh:
+    """Move the vertices of chosen faces (F,) so that the surface bends less there, and goes on from that around it."""
+    weight = np.full(len(mesh.vertices), _FIXED)
+    weight[mesh.faces[faces]] = _FREE
+    bend = neighbour_laplacian(edges_of(mesh.faces).ends, len(mesh.vertices))
+    matrix = (diags_array(weight) + _STIFF * (bend.T @ bend)).tocsr()
+    scaled = diags_array(1 / matrix.diagonal())
+    moved = [
+        cg(matrix, weight * column, x0=column, rtol=_EXACT_PLACES, maxiter=_STEPS, M=scaled)[0]
+        for column in mesh.vertices.T
+    ]
+    return Mesh(np.stack(moved, axis=1), mesh.faces)

@@ -60,8 +60,7 @@ class LooseParts:
     @classmethod
     def without_points(cls, mesh: Mesh, tree: cKDTree, local: Floats) -> LooseParts:
         """Find the parts; local (N,): spacing around each point of the tree."""
-        away, nearest = tree.query(mesh.vertices[mesh.faces].mean(axis=1), workers=-1)
-        loose = np.flatnonzero(away > _LOOSE * local[nearest])
+        loose = np.flatnonzero(is_loose(mesh, tree, local))
         number = np.full(len(mesh.faces), -1)
         corners = mesh.faces[loose]
         ends = np.concatenate([corners[:, :2], corners[:, 1:]])
@@ -142,3 +141,10 @@ class LooseParts:
             of_vertex[self.mesh.faces[own]] = number[own, None]
             number = of_vertex[self.mesh.faces].max(axis=1)
         return number
+
+
+def is_loose(mesh: Mesh, tree: cKDTree, local: Floats) -> Bools:
+    """Return a mask (F,) of the faces that have no points; local (N,): spacing around each point of the tree."""
+    away, nearest = tree.query(mesh.vertices[mesh.faces].mean(axis=1), workers=-1)
+    loose: Bools = away > _LOOSE * local[nearest]
+    return loose

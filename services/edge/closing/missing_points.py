@@ -1,6 +1,7 @@
 """Infer points where a thing has surface that no photo gave depth of: dark sides, undersides, holes.
 
-1. orient  points get normals that point to the cameras which see them                        (oriented_points.py)
+1. orient  points get normals that point to the cameras which see them; what is specks and noise counts less
+                                                                                              (oriented_points.py)
 2. carve   photos tell what around the thing is free space, once more by its outlines when it is roughly known
                                                                                               (carving.py)
 3. close   a closed surface is fitted to the points, out of free space and over the plane that the thing stands on
@@ -10,7 +11,9 @@
 5. choose  of its parts without points those are taken that are missing surface and no true openings: where the thing
            stood, and holes that the surface around goes on over. A sleeve's end or the mouth of a cup is neither
                                                                                               (loose_parts.py)
-6. sample  the chosen parts become points                                                     (sample_parts.py)
+6. join    the chosen parts grow over unsure points beside them, and are smoothed; the other points there are drawn onto
+           the surface, the nearer the more, so that measured and inferred points meet without a seam
+7. sample  the chosen parts become points                                                     (sample_parts.py)
 """
 
 from __future__ import annotations
@@ -23,10 +26,10 @@ from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, evenly, no_tick, part_of, pick
 from capture2vr.edge.closing.carving import Carving
-from capture2vr.edge.closing.lay_on_points import lay_on_points
-from capture2vr.edge.closing.loose_parts import LooseParts
+from capture2vr.edge.closing.lay_on_points import lay_on_points, smooth_parts
+from capture2vr.edge.closing.loose_parts import LooseParts, is_loose
 from capture2vr.edge.closing.oriented_points import orient_points
-from capture2vr.edge.closing.sample_parts import sample_parts
+from capture2vr.edge.closing.sample_parts import grown, sample_parts
 from capture2vr.edge.closing.solid import fit_solid
 from capture2vr.edge.mesh.distance import distance_to_mesh
 from capture2vr.edge.mesh.normals import vertex_normals
@@ -49,19 +52,25 @@ seen from both sides 66. To such a sheet no surface belongs that would close it.
 _MOST_INSIDE = 0.04
 """Share of the points below the closed surface from which on this is a lid over an inside that photos saw. Of fruit 1 %
 are, of statue, bananas, shoe and heads less, of a cape whose neck was closed 8."""
-_FRINGE_NEAR, _FRINGE_OFF = 12.0, 0.5
+_BESIDE, _FRINGE_OFF = 12.0, 0.5
 """Spacings: points so near to inferred ones and so far off the closed surface are a fringe, depth that was matched
 across an outline."""
+_RINGS = 3
+"""Rings of triangles around what is inferred that are smoothed with it."""
+_AROUND = 6
+"""Vertices whose tangent planes tell where a closed mesh is."""
 
 
 @dataclass(frozen=True, slots=True)
 class MissingPoints:
     """Inferred points: xyz (M,3), rgb (M,3) or None; fringe (N,): mask of the measured points that they replace;
-    closed: whether no opening is left that could be a true one."""
+    measured (N,3): places of the others, which meet the inferred ones smoothly; closed: whether no opening is left that
+    could be a true one."""
 
     xyz: Floats
     rgb: Bytes | None
     fringe: Bools
+    measured: Floats
     closed: bool
 
 
@@ -79,10 +88,10 @@ def infer_missing(
     the plane that it stands on, with its normal to the thing, in the same frame
     """
     none = np.zeros(len(xyz), bool)
-    nothing = MissingPoints(xyz[none], pick(rgb, none), none, closed=False)
+    nothing = MissingPoints(xyz[none], pick(rgb, none), none, xyz, closed=False)
     pictures = tuple(each.loaded() for each in evenly(pictures, _MOST_PICTURES))
     tree = cKDTree(xyz)
-    points = orient_points(xyz, tree, pictures)
+    points, sure = orient_points(xyz, tree, pictures)
     tick(0.1)
     carving = Carving(pictures)
     rough = fit_solid(points, carving.is_free, support, _ROUGH, part_of(tick, 0.1, 0.2))
@@ -106,19 +115,24 @@ def infer_missing(
     if not _lie_on(xyz, solid, spacing):
         return nothing
     parts = LooseParts.without_points(solid, tree, local)
-    inside = _inside(solid, xyz, spacing)
+    inside = _above(solid, xyz, cell)[0] < -_LIES_ON * spacing  # where nobody can have seen any
     hollow = bool(inside.mean() > _MOST_INSIDE)
     eyes = np.array([each.eye for each in pictures])
     chosen, closed = parts.missing(support, eyes, cell, spacing, fill, hollow=hollow)
     if not chosen.any():
         return replace(nothing, closed=closed)
-    fringe = beside | _fringe(solid, chosen, xyz, spacing)
+    near = _near(solid, chosen, solid.vertices[solid.faces].mean(axis=1), _BESIDE * spacing) < 1
+    chosen |= near & (parts.number < 0) & is_loose(solid, cKDTree(xyz[sure]), local[sure])
+    solid = smooth_parts(solid, grown(solid, chosen, _RINGS))
+    away = _near(solid, chosen, xyz, _BESIDE * spacing)
+    above, up = _above(solid, xyz, cell)
+    fringe = beside | ((away < 1) & (np.abs(above) > _FRINGE_OFF * spacing))
     if closed:
         fringe |= inside
-    tree = cKDTree(xyz[~fringe])
-    places, light = sample_parts(solid, chosen, tree, spacing, pick(rgb, ~fringe))
+    joined = xyz - (_eased(1 - away) * above)[:, None] * up
+    places, light = sample_parts(solid, chosen, cKDTree(joined[~fringe]), spacing, pick(rgb, ~fringe))
     tick(1.0)
-    return MissingPoints(places, light, fringe, closed)
+    return MissingPoints(places, light, fringe, joined, closed)
 
 
 def _lie_on(xyz: Floats, mesh: Mesh, spacing: float) -> bool:
@@ -127,16 +141,27 @@ def _lie_on(xyz: Floats, mesh: Mesh, spacing: float) -> bool:
     return bool((distance_to_mesh(some, mesh) < _LIES_ON * spacing).mean() > _NEARLY_ALL)
 
 
-def _fringe(mesh: Mesh, chosen: Bools, xyz: Floats, spacing: float) -> Bools:
-    """Find the points (N,) near the chosen faces (F,) of a closed mesh that lie off it."""
-    centres = cKDTree(mesh.vertices[mesh.faces[chosen]].mean(axis=1))
-    fringe: Bools = np.isfinite(centres.query(xyz, distance_upper_bound=_FRINGE_NEAR * spacing, workers=-1)[0])
-    fringe[fringe] = distance_to_mesh(xyz[fringe], mesh) > _FRINGE_OFF * spacing
-    return fringe
+def _near(mesh: Mesh, chosen: Bools, xyz: Floats, reach: float) -> Floats:
+    """(N,) in [0,1]: distances of places (N,3) to the middles of chosen faces (F,), over a reach; 1 beyond it."""
+    middles = cKDTree(mesh.vertices[mesh.faces[chosen]].mean(axis=1))
+    away: Floats = np.minimum(middles.query(xyz, distance_upper_bound=reach, workers=-1)[0] / reach, 1)
+    return away
 
 
-def _inside(mesh: Mesh, xyz: Floats, spacing: float) -> Bools:
-    """Find the points (N,) that lie below a closed mesh, where nobody can have seen any if it is that."""
-    near = cKDTree(mesh.vertices).query(xyz, workers=-1)[1]
-    inside: Bools = np.einsum("nx,nx->n", xyz - mesh.vertices[near], vertex_normals(mesh)[near]) < -_LIES_ON * spacing
-    return inside
+def _above(mesh: Mesh, xyz: Floats, cell: float) -> tuple[Floats, Floats]:
+    """Heights (N,) of points (N,3) above a closed mesh of triangles of about a cell, and its normals (N,3) there: the
+    mean of the nearest vertices' tangent planes."""
+    away, near = cKDTree(mesh.vertices).query(xyz, k=range(1, 1 + min(_AROUND, len(mesh.vertices))), workers=-1)
+    normals = vertex_normals(mesh)[near]
+    weight = np.exp((np.square(away[:, :1]) - np.square(away)) / cell**2)
+    weight *= np.maximum(np.einsum("nkx,nx->nk", normals, normals[:, 0]), 0)  # not those of a thin wall's other side
+    height = np.einsum("nkx,nkx->nk", xyz[:, None] - mesh.vertices[near], normals)
+    up = np.einsum("nk,nkx->nx", weight, normals)
+    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    return (weight * height).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9), up
+
+
+def _eased(share: Floats) -> Floats:
+    """Return shares (N,) in [0,1] as they are eased in and out."""
+    eased: Floats = share * share * (3 - 2 * share)
+    return eased

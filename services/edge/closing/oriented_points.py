@@ -1,4 +1,4 @@
-"""Turn the normals of points towards the cameras that see them."""
+"""Turn the normals of points towards the cameras that see them, and tell which points surely lie on a surface."""
 
 from __future__ import annotations
 
@@ -12,16 +12,28 @@ from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.sample_image import pixels_at
 
-_NEIGHBOURS = 12
+_NEIGHBOURS, _WIDE = 12, 32
+"""Neighbours that a normal is estimated from, and among which a point is judged: they reach three spacings far."""
 _SAME = 0.02  # relative depth within which a point is the surface that a photo sees
 _GRAZING = 0.3  # cosine of the angle to a photo from which on its word counts fully: 73 degrees
+_ROUNDS = 3
+"""Rounds in which points ask their neighbours to which side they are turned: photos that graze a place err about it."""
+_UNLIKE, _ALIKE = 0.7, 0.9
+"""Mean cosine between a point's normal and those around it, over the median, up to which a point does not count, and
+from which on it counts fully. Fur and leaves are rough everywhere: their median is low."""
+_SPARSE, _DENSE = 0.15, 0.5
+"""The same of the density of points: at a straight border half of it is left, in specks and strips much less."""
+_SURE = 0.96
+"""Cosine times density, so far as that counts, from which on a point surely lies on a surface: of a rendered apple all
+do but at the border of what photos see, of real fruit two thirds near it."""
 
 
 @dataclass(frozen=True, slots=True)
 class OrientedPoints:
     """Points with normals that point out of the surface, to where cameras are.
 
-    xyz, normal (N,3); weight (N,) in [0,1]: how surely the normal's side is known, 0 where photos saw both sides alike
+    xyz, normal (N,3); weight (N,) in [0,1]: how surely each is of a surface whose side is known, 0 where photos saw
+    both sides alike
     """
 
     xyz: Floats
@@ -33,14 +45,30 @@ class OrientedPoints:
         return OrientedPoints(self.xyz[which], self.normal[which], self.weight[which])
 
 
-def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) -> OrientedPoints:
+def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) -> tuple[OrientedPoints, Bools]:
     """Estimate the normals of points (N,3) in the pictures' frame, and turn each to the cameras that see its point.
 
-    tree  KD-tree of the points
+    Points in specks, strips and noise, such as stereo leaves at the border of what it sees, weigh less or nothing.
+    Returned with a mask (N,) of those that surely lie on a surface. tree: KD-tree of the points
     """
-    near = xyz[tree.query(xyz, k=min(_NEIGHBOURS, len(xyz)), workers=-1)[1]]
-    relative = near - near.mean(axis=1, keepdims=True)
+    away, around = tree.query(xyz, k=range(1, 1 + min(_WIDE, len(xyz))), workers=-1)
+    near = around[:, :_NEIGHBOURS]
+    relative = xyz[near] - xyz[near].mean(axis=1, keepdims=True)
     normal = np.linalg.eigh(np.matmul(relative.transpose(0, 2, 1), relative))[1][:, :, 0]
+    cosine = np.einsum("nkx,nx->nk", normal[around], normal)
+    side = _side(xyz, normal, pictures)
+    for _ in range(_ROUNDS):
+        side = (cosine[:, :_NEIGHBOURS] * side[near]).mean(axis=1)
+    alike = _over_median(np.abs(cosine).mean(axis=1))
+    dense = _ramp(_over_median(1 / np.maximum(np.square(away[:, -1]), 1e-300)), _SPARSE, _DENSE)
+    weight = np.abs(side) * _ramp(alike, _UNLIKE, _ALIKE) * dense
+    certain = alike * dense
+    sure: Bools = certain >= min(_SURE, float(np.median(certain)))
+    return OrientedPoints(xyz, normal * np.sign(side)[:, None], weight), sure
+
+
+def _side(xyz: Floats, normal: Floats, pictures: Sequence[PosedPicture]) -> Floats:
+    """(N,) in [−1,1]: to which side of points (N,3) with normals (N,3) the cameras are that see them."""
     towards, seen = np.zeros(len(xyz)), np.zeros(len(xyz))
     for picture in pictures:
         inside, at, z = picture.in_view(xyz)
@@ -51,5 +79,16 @@ def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) 
         share = np.clip(cosine / _GRAZING, -1, 1)
         towards[inside] += share
         seen[inside] += np.abs(share)
-    side = towards / np.maximum(seen, 1e-9)
-    return OrientedPoints(xyz, normal * np.sign(side)[:, None], np.abs(side))
+    side: Floats = towards / np.maximum(seen, 1e-9)
+    return side
+
+
+def _over_median(values: Floats) -> Floats:
+    over: Floats = values / max(float(np.median(values)), 1e-300)
+    return over
+
+
+def _ramp(values: Floats, none: float, full: float) -> Floats:
+    """Return values (N,) as they rise from 0 at `none` to 1 at `full`."""
+    risen: Floats = np.clip((values - none) / (full - none), 0, 1)
+    return risen

@@ -29,7 +29,7 @@ def sample_parts(
     mesh: Mesh, chosen: Bools, tree: cKDTree, spacing: float, rgb: Bytes | None
 ) -> tuple[Floats, Bytes | None]:
     """Sample chosen faces (F,): points (M,3), sparser far from measured ones, and their colours (M,3)."""
-    part = Mesh(mesh.vertices, mesh.faces[_grown(mesh, chosen, _RINGS)])
+    part = Mesh(mesh.vertices, mesh.faces[grown(mesh, chosen, _RINGS)])
     areas = np.linalg.norm(face_normals(part.vertices, part.faces), axis=1) / 2
     places = sample(part, max(1, int(2 * areas.sum() / spacing**2)), np.random.default_rng(0)).xyz
     away = tree.query(places, workers=-1)[0] / spacing
@@ -50,7 +50,7 @@ def sample_parts(
 def _spread_colours(mesh: Mesh, chosen: Bools, tree: cKDTree, light: Floats) -> Floats:
     """Light (V,3) of a mesh's vertices: the points' (N,3) where there are any, and smooth between these."""
     unknown = np.zeros(len(mesh.vertices), bool)
-    unknown[mesh.faces[_grown(mesh, chosen, _INNER)]] = True
+    unknown[mesh.faces[grown(mesh, chosen, _INNER)]] = True
     nearest = tree.query(mesh.vertices, k=range(1, 9), workers=-1)[1]
     spread: Floats = light[nearest].mean(axis=1)
     if unknown.all() or not unknown.any():
@@ -73,7 +73,7 @@ def _spread_colours(mesh: Mesh, chosen: Bools, tree: cKDTree, light: Floats) -> 
     return spread
 
 
-def _grown(mesh: Mesh, chosen: Bools, rings: int) -> Bools:
+def grown(mesh: Mesh, chosen: Bools, rings: int) -> Bools:
     """Grow a choice of faces (F,) by rings of triangles."""
     for _ in range(rings):
         reached = np.zeros(len(mesh.vertices), bool)

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from capture2vr.edge.arrays import Floats
-from capture2vr.edge.closing.lay_on_points import lay_on_points
+from capture2vr.edge.closing.lay_on_points import lay_on_points, smooth_parts
 from capture2vr.edge.closing.oriented_points import OrientedPoints
 from capture2vr.edge.mesh.nouns import Mesh
 
@@ -50,3 +50,14 @@ def test_a_bottom_that_no_photo_shows_stays_where_the_walls_stand(lowest: float)
     """The points of a wall near its foot lie over the bottom, and do not lift it."""
     rough = jar()
     assert np.abs(bottom(lay_on_points(rough, wall(lowest=lowest), SPACING, CELL), rough)).max() < 0.25  # cells
+
+
+def test_a_smoothed_part_loses_its_creases_and_keeps_its_bend() -> None:
+    ball = trimesh.creation.icosphere(5, RADIUS)
+    rng = np.random.default_rng(0)
+    lower = ball.vertices[:, 2] < 0
+    uneven = ball.vertices * (1 + np.where(lower, rng.normal(0, 0.02, len(lower)), 0))[:, None]
+    smooth = smooth_parts(Mesh(uneven, ball.faces), lower[ball.faces].all(axis=1))
+    away = np.linalg.norm(smooth.vertices, axis=1) / RADIUS - 1
+    assert np.std(away[lower]) < 0.006
+    assert np.abs(away[ball.vertices[:, 2] > 0.1 * RADIUS]).max() < 1e-3

@@ -107,6 +107,33 @@ def test_a_hole_in_a_surface_is_closed_in_the_surrounding_colours() -> None:
 
 
 @pytest.mark.slow
+def test_ragged_points_meet_what_is_inferred_on_one_smooth_surface() -> None:
+    """Stereo leaves noise and flakes at the border of what it sees; from inferred surface they would stand off."""
+    rng = np.random.default_rng(0)
+    turn, height = rng.uniform(0, 2 * np.pi, 3_000), rng.uniform(-0.24, -0.14, 3_000)
+    across = np.sqrt(RADIUS**2 - height**2)
+    ring = np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
+    ring *= (1 + rng.normal(0, 0.05, len(ring)))[:, None]
+
+    def below(places: Floats) -> Bools:
+        dark: Bools = places[:, 2] < -0.16
+        return dark
+
+    missing = seen(ball(), 0.0, below, ring)
+    came = missing.measured[-len(ring) :][~missing.fringe[-len(ring) :]]
+    assert len(came) > 100
+    assert roughness(ring[ring[:, 2] < -0.19]) > 0.1
+    assert roughness(np.concatenate([came[came[:, 2] < -0.19], missing.xyz])) < 0.05
+
+
+def roughness(xyz: Floats) -> float:
+    """Mean over points (N,3) of their neighbours' deviation from a plane, over that along it."""
+    near = xyz[cKDTree(xyz).query(xyz, k=12)[1]]
+    spread = np.linalg.svd(near - near.mean(axis=1, keepdims=True), compute_uv=False)
+    return float((spread[:, 2] / spread[:, 0]).mean())
+
+
+@pytest.mark.slow
 def test_false_points_inside_a_closed_thing_are_dropped() -> None:
     """Depth that was matched wrongly: a bubble of it, and a few places alone."""
     bubble = trimesh.creation.icosphere(2, 0.06).apply_translation([0.1, 0, -0.1]).vertices
