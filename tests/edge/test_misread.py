@@ -77,6 +77,12 @@ def test_a_room_is_six_metres_long(name: str, data_dir: Path, tmp_path: Path) ->
         np.testing.assert_array_equal(capture.up, (0, 0, 1))
 
 
+def test_the_notch_of_a_floor_plan_has_no_floor(data_dir: Path, tmp_path: Path) -> None:
+    xyz = cloud_of(read(data_dir, "obj_concave", tmp_path)).xyz
+    np.testing.assert_allclose(np.ptp(xyz, axis=0), (4, 3, 2.5), atol=0.01)
+    assert not ((xyz[:, 0] > 1.05) & (xyz[:, 1] > 1.05)).any()
+
+
 def test_feet_are_no_metres(data_dir: Path, tmp_path: Path) -> None:
     capture = read(data_dir, "las_us_feet", tmp_path)
     metres = np.ptp(cloud_of(capture).xyz, axis=0) * capture.metres_per_unit

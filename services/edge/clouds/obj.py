@@ -28,6 +28,7 @@ from capture2vr.edge.clouds.obj_colours import ObjColours
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
 from capture2vr.edge.clouds.surface_colours import TexturePixels, absent_textures
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.mesh.polygons import triangulate
 from capture2vr.sentences.sentence import say
 
 MAX_MATERIALS = 500  # scanners write tens; a large texture takes a second to decode
@@ -55,7 +56,7 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     with translate_errors(file, "OBJ"):
         reader.read(read_bytes(folder.path(file), file), folder.tick)
         vertices, coordinates = reader.vertices.array(), reader.coordinates.array()
-        faces, uv_faces, material = reader.triangles(len(vertices), len(coordinates))
+        faces, uv_faces, material = reader.triangles(vertices[:, :3], len(coordinates))
     if len(vertices) == 0:
         raise unreadable(file, say("has_no_vertices"))
     rgb, notes = read_colours(vertices[:, 3:6] if vertices.shape[1] >= 6 else None)
@@ -121,7 +122,7 @@ class _Reader:
         self._corners: list[bytes] = []
         self._sizes: list[int] = []  # corners of each face
         self._before: list[tuple[int, int, int]] = []  # vertices and coordinates before each face, and its material
-        self._parts: list[tuple[Ints, Ints, Ints]] = []
+        self._parts: list[tuple[Ints, Ints, Ints]] = []  # corners (C,2), their number per face, and its material
         self._count = 0
 
     def read(self, data: bytes, tick: Tick) -> None:
@@ -136,14 +137,16 @@ class _Reader:
                 raise unreadable(self._file, say("has_line_bytes_most_read", length=len(line), most=_MAX_LINE))
             self._read_line(line)
 
-    def triangles(self, vertices: int, coordinates: int) -> tuple[Ints, Ints, Ints]:
+    def triangles(self, xyz: Floats, coordinates: int) -> tuple[Ints, Ints, Ints]:
         """Triangulate: indices of vertices (F,3), of texture coordinates (F,3), -1: none, and of materials (F,)."""
         self._pack()
-        empty = np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
-        faces, uv_faces, material = (np.concatenate(parts) for parts in zip(empty, *self._parts, strict=True))
-        if len(faces) and (faces.min() < 0 or faces.max() >= vertices):
+        empty = np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
+        corners, sizes, material = (np.concatenate(parts) for parts in zip(empty, *self._parts, strict=True))
+        if len(corners) and (corners[:, 0].min() < 0 or corners[:, 0].max() >= len(xyz)):
             raise ValueError(say("face_has_indices_vertices"))
-        return faces, np.where(uv_faces < coordinates, uv_faces, -1), material
+        rows, face = triangulate(xyz, corners[:, 0], sizes)
+        uv_faces = corners[rows, 1]
+        return corners[rows, 0], np.where(uv_faces < coordinates, uv_faces, -1), material[face]
 
     def _read_line(self, line: bytes) -> None:
         key, *words = line.split() or (b"",)
@@ -187,7 +190,7 @@ class _Reader:
             self._pack()
 
     def _pack(self) -> None:
-        """Make arrays of the faces that wait; polygons become fans of triangles."""
+        """Make arrays of the faces that wait."""
         if self._count > MAX_FACES:
             raise too_many_faces(self._count, self._file)
         if not self._sizes:
@@ -196,12 +199,7 @@ class _Reader:
         indices = _corner_indices(self._corners)
         counts = np.repeat(before[:, :2], size, axis=0)
         indices = np.where(indices < 0, indices + counts, indices - 1)  # relative to the last, or from 1 on
-        first = np.cumsum(size) - size
-        face = np.repeat(np.arange(len(size)), size - 2)
-        within = np.arange(len(face)) - np.repeat(np.cumsum(size - 2) - (size - 2), size - 2)
-        start = first[face]
-        fans = np.stack([start, start + within + 1, start + within + 2], axis=1)
-        self._parts.append((indices[fans, 0], indices[fans, 1], before[face, 2]))
+        self._parts.append((indices, size, before[:, 2]))
         self._corners.clear()
         self._sizes.clear()
         self._before.clear()

@@ -25,7 +25,7 @@ from capture2vr.edge.clouds.ply_records import (
     Records,
     ascii_records,
     binary_records,
-    triangle_fans,
+    triangles_of,
 )
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
 from capture2vr.edge.clouds.tables import (
@@ -66,7 +66,7 @@ class PlyFile:
 
 
 def read_ply(path: Path, file: str) -> PlyFile:
-    """Read a PLY; polygons become triangle fans, and without faces it has points.
+    """Read a PLY; polygons become triangles, and without faces it has points.
 
     Of Gaussian splats the centres are read, with the colour that each has from all sides together.
     Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
@@ -81,7 +81,7 @@ def read_ply(path: Path, file: str) -> PlyFile:
         columns = read["vertex"].columns
         cloud = named_columns(_splat_centres(columns) if splats else columns, file)
         of_faces = read.get("face", Records({}, []))
-        faces, record = triangle_fans(of_faces.polygons, len(cloud.xyz), file)
+        faces, record = triangles_of(of_faces.polygons, cloud.xyz, file)
     if splats:
         return PlyFile(cloud, faces, None, (_splat_warning(file),))
     texture = _TEXTURE.search(data[:start])

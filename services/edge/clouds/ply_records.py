@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture2vr.edge.arrays import Ints
+from capture2vr.edge.arrays import Floats, Ints
 from capture2vr.edge.capture.files import truncated, unreadable
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, too_many_faces
+from capture2vr.edge.mesh.polygons import triangulate
 from capture2vr.sentences.sentence import say
 
 _CORNERS = ("vertex_indices", "vertex_index")
@@ -219,18 +220,15 @@ def _ascii_lists(rows: Sequence[str], element: PlyElement) -> tuple[NDArray[Any]
     ]
 
 
-def triangle_fans(polygons: Sequence[tuple[Ints, Ints]], vertices: int, file: str) -> tuple[Ints, Ints]:
-    """Triangulate polygons as fans (F,3), and tell the record (F,) of each: (a, b, c, d) is (a, b, c) and (a, c, d)."""
-    if (count := sum(len(group) * max(0, group.shape[1] - 2) for _, group in polygons)) > MAX_FACES:
+def triangles_of(polygons: Sequence[tuple[Ints, Ints]], xyz: Floats, file: str) -> tuple[Ints, Ints]:
+    """Cut polygons into triangles (F,3) of the vertices (V,3), and tell the record (F,) of each."""
+    polygons = [(rows, group) for rows, group in polygons if group.shape[1] >= 3]
+    if (count := sum(len(group) * (group.shape[1] - 2) for _, group in polygons)) > MAX_FACES:
         raise too_many_faces(count, file)
-    triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
-    records: list[Ints] = [np.zeros(0, np.int64)]
-    for rows, group in polygons:
-        second, third = group[:, 1:-1], group[:, 2:]
-        first = np.broadcast_to(group[:, :1], second.shape)
-        triangles.append(np.stack([first, second, third], axis=-1).reshape(-1, 3))
-        records.append(np.repeat(rows, second.shape[1]))
-    faces = np.concatenate(triangles)
-    if len(faces) and (faces.min() < 0 or faces.max() >= vertices):
+    none = np.zeros(0, np.int64)
+    corners = np.concatenate([none, *(group.ravel() for _, group in polygons)])
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(xyz)):
         raise unreadable(file, say("has_faces_with_indices_vertices"))
-    return faces, np.concatenate(records)
+    sizes = np.concatenate([none, *(np.full(len(group), group.shape[1]) for _, group in polygons)])
+    rows, polygon = triangulate(xyz, corners, sizes)
+    return corners[rows], np.concatenate([none, *(rows for rows, _ in polygons)])[polygon]
