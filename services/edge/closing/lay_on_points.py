@@ -7,7 +7,7 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools
+from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.closing.oriented_points import OrientedPoints
 from capture2vr.edge.mesh.edges import edges_of, neighbour_laplacian
 from capture2vr.edge.mesh.normals import vertex_normals
@@ -20,17 +20,18 @@ _SURE = 3.0  # sum of the weights from which on a place is known as well as with
 _STIFF = 1.0  # weight of the offsets' bending
 _STILL = 0.01  # weight of no offset: bending alone goes on with a slope, and lifted a cup's whole bottom by a cell
 _EXACT, _STEPS = 1e-4, 300
-_FREE, _FIXED = 0.005, 100.0
+_FREE, _FIXED = 0.05, 100.0
 """Weights of the place of a vertex that is smoothed, and of another: creases some cells wide go, bulges stay."""
 _EXACT_PLACES = 1e-6
 
 
-def lay_on_points(mesh: Mesh, points: OrientedPoints, spacing: float, cell: float) -> Mesh:
+def lay_on_points(mesh: Mesh, points: OrientedPoints, spacing: float, cell: float) -> tuple[Mesh, Floats]:
     """Move a closed mesh along its normals onto points, at most some cells away; between them smoothly.
 
     A point counts as far as its normal is the mesh's: those of a wall are not where the floor below it is.
 
     spacing  of the points; cell  of the grid that the mesh was made on
+    Returned with how surely points say where each vertex is, (V,) in [0,1].
     """
     normals, xyz = vertex_normals(mesh), points.xyz
     away, near = cKDTree(xyz).query(mesh.vertices, k=range(1, 1 + min(_NEIGHBOURS, len(xyz))), workers=-1)
@@ -44,13 +45,18 @@ def lay_on_points(mesh: Mesh, points: OrientedPoints, spacing: float, cell: floa
     bend = neighbour_laplacian(edges_of(mesh.faces).ends, len(mesh.vertices))
     matrix = (diags_array(known + _STILL) + _STIFF * (bend.T @ bend)).tocsr()
     offset, _ = cg(matrix, known * wanted, rtol=_EXACT, maxiter=_STEPS, M=diags_array(1 / matrix.diagonal()))
-    return Mesh(mesh.vertices + offset[:, None] * normals, mesh.faces)
+    sure = np.minimum((weight * points.weight[near]).sum(axis=1) / _SURE, 1)
+    return Mesh(mesh.vertices + offset[:, None] * normals, mesh.faces), sure
 
 
-def smooth_parts(mesh: Mesh, faces: Bools) -> Mesh:
-    """Move the vertices of chosen faces (F,) so that the surface bends less there, and goes on from that around it."""
+def smooth_parts(mesh: Mesh, faces: Bools, sure: Floats) -> Mesh:
+    """Move the vertices of chosen faces (F,) so that the surface bends less there, and goes on from that around it.
+
+    sure (V,) in [0,1]: how surely points say where each vertex is; the surer, the less it moves
+    """
     weight = np.full(len(mesh.vertices), _FIXED)
-    weight[mesh.faces[faces]] = _FREE
+    moving = np.unique(mesh.faces[faces])
+    weight[moving] = _FREE + sure[moving]
     bend = neighbour_laplacian(edges_of(mesh.faces).ends, len(mesh.vertices))
     matrix = (diags_array(weight) + _STIFF * (bend.T @ bend)).tocsr()
     scaled = diags_array(1 / matrix.diagonal())

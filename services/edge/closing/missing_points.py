@@ -111,7 +111,7 @@ def infer_missing(
     cell = 1 / _CELLS[-1]
     local = point_spacing(xyz, tree)
     spacing = float(np.median(local))
-    solid = lay_on_points(solid, kept, spacing, cell)
+    solid, laid = lay_on_points(solid, kept, spacing, cell)
     if not _lie_on(xyz, solid, spacing):
         return nothing
     parts = LooseParts.without_points(solid, tree, local)
@@ -123,7 +123,7 @@ def infer_missing(
         return replace(nothing, closed=closed)
     near = _near(solid, chosen, solid.vertices[solid.faces].mean(axis=1), _BESIDE * spacing) < 1
     chosen |= near & (parts.number < 0) & is_loose(solid, cKDTree(xyz[sure]), local[sure])
-    solid = smooth_parts(solid, grown(solid, chosen, _RINGS))
+    solid = smooth_parts(solid, grown(solid, chosen, _RINGS), laid)
     away = _near(solid, chosen, xyz, _BESIDE * spacing)
     above, up = _above(solid, xyz, cell)
     fringe = beside | ((away < 1) & (np.abs(above) > _FRINGE_OFF * spacing))

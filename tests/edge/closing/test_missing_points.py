@@ -123,7 +123,7 @@ def test_ragged_points_meet_what_is_inferred_on_one_smooth_surface() -> None:
     came = missing.measured[-len(ring) :][~missing.fringe[-len(ring) :]]
     assert len(came) > 100
     assert roughness(ring[ring[:, 2] < -0.19]) > 0.1
-    assert roughness(np.concatenate([came[came[:, 2] < -0.19], missing.xyz])) < 0.05
+    assert roughness(np.concatenate([came[came[:, 2] < -0.19], missing.xyz])) < 0.06
 
 
 def roughness(xyz: Floats) -> float:
