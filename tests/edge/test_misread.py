@@ -83,6 +83,12 @@ def test_the_notch_of_a_floor_plan_has_no_floor(data_dir: Path, tmp_path: Path) 
     assert not ((xyz[:, 0] > 1.05) & (xyz[:, 1] > 1.05)).any()
 
 
+def test_panoramas_are_split_into_views(data_dir: Path, tmp_path: Path) -> None:
+    photos = read(data_dir, "photos_equirect_small", tmp_path).photos
+    assert len(photos) == 80
+    assert {photo.size for photo in photos} == {(160, 160)}
+
+
 def test_feet_are_no_metres(data_dir: Path, tmp_path: Path) -> None:
     capture = read(data_dir, "las_us_feet", tmp_path)
     metres = np.ptp(cloud_of(capture).xyz, axis=0) * capture.metres_per_unit

@@ -13,6 +13,7 @@ from capture2vr.edge.capture.gravity_tags import elevation_deg, up_in_camera
 from capture2vr.edge.capture.images import read_bytes
 from capture2vr.edge.capture.masks import mask_file, mask_loader, split_masks, stray_masks_warning
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
+from capture2vr.edge.capture.panorama import VIEWS, by_direction, is_panorama, views_of
 from capture2vr.edge.capture.photo_copy import keep_copy
 from capture2vr.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
 from capture2vr.edge.errors import CaptureError
@@ -48,14 +49,21 @@ def read(folder: Folder) -> Capture:
     """
     names, masks = split_masks(folder, _pictures_and_masks(folder))
     if len(names) == 1:
-        return _single_photo(read_photo(folder, names[0]))
+        return _single_photo(folder, read_photo(folder, names[0]))
     photos: list[Photo] = []
+    panoramas: list[list[Photo]] = []
     errors: list[CaptureError] = []
     for name in evenly_spaced(names):
         try:
-            photos.append(read_photo(folder, name))
+            photo = read_photo(folder, name)
+            if is_panorama(folder.path(name), photo):
+                panoramas.append(views_of(folder.path(name), photo))
+            else:
+                photos.append(photo)
         except CaptureError as error:
             errors.append(error)
+    used = evenly_spaced(panoramas, MAX_PHOTOS // VIEWS)
+    photos += by_direction(used)
     if len(photos) < MIN_PHOTOS:
         raise _too_few_readable(errors[0], len(photos)) if errors else _too_few_photos(photos)
     return Capture(
@@ -63,12 +71,20 @@ def read(folder: Folder) -> Capture:
         "photos",
         photos=tuple(photos),
         verdicts=tuple(map(unreadable_verdict, errors)),
-        warnings=(*left_out_warning(len(names)), *stray_masks_warning(folder, masks, names)),
+        warnings=(
+            *left_out_warning(len(names)),
+            *_panoramas_warning(len(used), len(panoramas)),
+            *stray_masks_warning(folder, masks, names),
+        ),
     )
 
 
-def _single_photo(photo: Photo) -> Capture:
-    """Make a capture of kind "image" from one photo."""
+def _single_photo(folder: Folder, photo: Photo) -> Capture:
+    """Make a capture of kind "image" from one photo. Raises CAPTURE_LOW_OVERLAP where that shows 360 degrees."""
+    if is_panorama(folder.path(photo.name), photo):
+        raise CaptureError(
+            "CAPTURE_LOW_OVERLAP", say("one_panorama"), file=photo.name, hints=(say("take_panoramas_along_a_way"),)
+        )
     warning = say("one_photo_shows", advice=WALK_AROUND_ADVICE)
     return Capture("image", "photo", photos=(photo,), verdicts=(PhotoVerdict(photo.name, "ok"),), warnings=(warning,))
 
@@ -95,11 +111,16 @@ def read_photo(folder: Folder, name: str) -> Photo:
     )
 
 
-def evenly_spaced(photos: Sequence[_T]) -> list[_T]:
-    """Select at most MAX_PHOTOS items, evenly spaced: photos are numbered in their order around the object."""
-    if len(photos) <= MAX_PHOTOS:
+def evenly_spaced(photos: Sequence[_T], most: int = MAX_PHOTOS) -> list[_T]:
+    """Select at most so many items, evenly spaced: photos are numbered in their order around the object."""
+    if len(photos) <= most:
         return list(photos)
-    return [photos[round(at)] for at in np.linspace(0, len(photos) - 1, MAX_PHOTOS)]
+    return [photos[round(at)] for at in np.linspace(0, len(photos) - 1, most)]
+
+
+def _panoramas_warning(used: int, count: int) -> tuple[str, ...]:
+    """Say that panoramas were split, and how many were used."""
+    return (say("panoramas_were_split", used=used, count=count, views=VIEWS),) if count else ()
 
 
 def left_out_warning(count: int) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, evenly, no_tick, 
 from capture2vr.edge.closing.carving import Carving
 from capture2vr.edge.closing.lay_on_points import lay_on_points, smooth_parts
 from capture2vr.edge.closing.loose_parts import LooseParts, is_loose
-from capture2vr.edge.closing.oriented_points import orient_points
+from capture2vr.edge.closing.oriented_points import orient_points, ramp
 from capture2vr.edge.closing.sample_parts import grown, sample_parts
 from capture2vr.edge.closing.solid import fit_solid
 from capture2vr.edge.mesh.distance import distance_to_mesh
@@ -45,6 +45,11 @@ _MOST_PICTURES = 20
 """Photos that are asked, evenly chosen: each takes a fifth of a second."""
 _MOST_BESIDE = 0.2
 """Share of the points beside the outlines from which on these are those of something else, and are not used."""
+_UNSURE, _CERTAIN = 0.7, 0.9
+"""Certainty up to which a point does not count for the final surface, and from which on it counts fully."""
+_SURE = 0.96
+"""Certainty from which on a point surely lies on a surface: of a rendered apple all do but at the border of what photos
+see, of real fruit two thirds near it."""
 _PROBES, _LIES_ON, _NEARLY_ALL = 5_000, 2.0, 0.8
 """Points that are asked whether they lie on the closed surface, the spacings within which they do, and the share of
 them that must: of fruit, statue, plush toy and dress 99 % do, of a cup with a thin wall 88, of a broken shell that was
@@ -91,7 +96,7 @@ def infer_missing(
     nothing = MissingPoints(xyz[none], pick(rgb, none), none, xyz, closed=False)
     pictures = tuple(each.loaded() for each in evenly(pictures, _MOST_PICTURES))
     tree = cKDTree(xyz)
-    points, sure = orient_points(xyz, tree, pictures)
+    points, certain = orient_points(xyz, tree, pictures)
     tick(0.1)
     carving = Carving(pictures)
     rough = fit_solid(points, carving.is_free, support, _ROUGH, part_of(tick, 0.1, 0.2))
@@ -104,7 +109,7 @@ def infer_missing(
         carving = outlined
     else:
         beside = none
-    kept = points.subset(~beside)
+    kept = replace(points, weight=points.weight * ramp(certain, _UNSURE, _CERTAIN)).subset(~beside)
     solid = fit_solid(kept, carving.is_free, support, _CELLS, part_of(tick, 0.5, 0.9))
     if not len(solid.faces):
         return nothing
@@ -121,6 +126,7 @@ def infer_missing(
     chosen, closed = parts.missing(support, eyes, cell, spacing, fill, hollow=hollow)
     if not chosen.any():
         return replace(nothing, closed=closed)
+    sure = certain >= min(_SURE, float(np.median(certain)))
     near = _near(solid, chosen, solid.vertices[solid.faces].mean(axis=1), _BESIDE * spacing) < 1
     chosen |= near & (parts.number < 0) & is_loose(solid, cKDTree(xyz[sure]), local[sure])
     solid = smooth_parts(solid, grown(solid, chosen, _RINGS), laid)

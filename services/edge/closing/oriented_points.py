@@ -1,4 +1,4 @@
-"""Turn the normals of points towards the cameras that see them, and tell which points surely lie on a surface."""
+"""Turn the normals of points towards the cameras that see them, and tell how certainly points lie on a surface."""
 
 from __future__ import annotations
 
@@ -16,24 +16,16 @@ _NEIGHBOURS, _WIDE = 12, 32
 """Neighbours that a normal is estimated from, and among which a point is judged: they reach three spacings far."""
 _SAME = 0.02  # relative depth within which a point is the surface that a photo sees
 _GRAZING = 0.3  # cosine of the angle to a photo from which on its word counts fully: 73 degrees
-_ROUNDS = 3
-"""Rounds in which points ask their neighbours to which side they are turned: photos that graze a place err about it."""
-_UNLIKE, _ALIKE = 0.7, 0.9
-"""Mean cosine between a point's normal and those around it, over the median, up to which a point does not count, and
-from which on it counts fully. Fur and leaves are rough everywhere: their median is low."""
 _SPARSE, _DENSE = 0.15, 0.5
-"""The same of the density of points: at a straight border half of it is left, in specks and strips much less."""
-_SURE = 0.96
-"""Cosine times density, so far as that counts, from which on a point surely lies on a surface: of a rendered apple all
-do but at the border of what photos see, of real fruit two thirds near it."""
+"""Density of points, over the median, at which a point is none of a surface, and from which on it may be one: at a
+straight border half of it is left, in specks and strips much less."""
 
 
 @dataclass(frozen=True, slots=True)
 class OrientedPoints:
     """Points with normals that point out of the surface, to where cameras are.
 
-    xyz, normal (N,3); weight (N,) in [0,1]: how surely each is of a surface whose side is known, 0 where photos saw
-    both sides alike
+    xyz, normal (N,3); weight (N,) in [0,1]: how surely the normal's side is known, 0 where photos saw both sides alike
     """
 
     xyz: Floats
@@ -45,26 +37,24 @@ class OrientedPoints:
         return OrientedPoints(self.xyz[which], self.normal[which], self.weight[which])
 
 
-def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) -> tuple[OrientedPoints, Bools]:
+def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) -> tuple[OrientedPoints, Floats]:
     """Estimate the normals of points (N,3) in the pictures' frame, and turn each to the cameras that see its point.
 
-    Points in specks, strips and noise, such as stereo leaves at the border of what it sees, weigh less or nothing.
-    Returned with a mask (N,) of those that surely lie on a surface. tree: KD-tree of the points
+    Returned with how certainly each is of a surface, (N,), about 1 where it is: the mean cosine between its normal and
+    those around it, over the median, as fur and leaves are rough everywhere; times the density, where that is low. In
+    specks, strips and noise, which stereo leaves at the border of what it sees, it is less.
+
+    tree  KD-tree of the points
     """
     away, around = tree.query(xyz, k=range(1, 1 + min(_WIDE, len(xyz))), workers=-1)
-    near = around[:, :_NEIGHBOURS]
-    relative = xyz[near] - xyz[near].mean(axis=1, keepdims=True)
+    near = xyz[around[:, :_NEIGHBOURS]]
+    relative = near - near.mean(axis=1, keepdims=True)
     normal = np.linalg.eigh(np.matmul(relative.transpose(0, 2, 1), relative))[1][:, :, 0]
-    cosine = np.einsum("nkx,nx->nk", normal[around], normal)
+    cosine = np.abs(np.einsum("nkx,nx->nk", normal[around], normal))
     side = _side(xyz, normal, pictures)
-    for _ in range(_ROUNDS):
-        side = (cosine[:, :_NEIGHBOURS] * side[near]).mean(axis=1)
-    alike = _over_median(np.abs(cosine).mean(axis=1))
-    dense = _ramp(_over_median(1 / np.maximum(np.square(away[:, -1]), 1e-300)), _SPARSE, _DENSE)
-    weight = np.abs(side) * _ramp(alike, _UNLIKE, _ALIKE) * dense
-    certain = alike * dense
-    sure: Bools = certain >= min(_SURE, float(np.median(certain)))
-    return OrientedPoints(xyz, normal * np.sign(side)[:, None], weight), sure
+    density = _over_median(1 / np.maximum(np.square(away[:, -1]), 1e-300))
+    certain: Floats = _over_median(cosine.mean(axis=1)) * ramp(density, _SPARSE, _DENSE)
+    return OrientedPoints(xyz, normal * np.sign(side)[:, None], np.abs(side)), certain
 
 
 def _side(xyz: Floats, normal: Floats, pictures: Sequence[PosedPicture]) -> Floats:
@@ -88,7 +78,7 @@ def _over_median(values: Floats) -> Floats:
     return over
 
 
-def _ramp(values: Floats, none: float, full: float) -> Floats:
+def ramp(values: Floats, none: float, full: float) -> Floats:
     """Return values (N,) as they rise from 0 at `none` to 1 at `full`."""
     risen: Floats = np.clip((values - none) / (full - none), 0, 1)
     return risen
