@@ -17,6 +17,10 @@ from capture2vr.sentences.sentence import say
 
 HOW_TO_SHOOT = say("with_textured_things_beside", advice=WALK_AROUND_ADVICE)
 _UNTEXTURED = 100  # key points; a photo with fewer cannot be placed because of its own lack of texture
+_SEEN_BY = 3.0
+"""Mean number of photos that see a point, below which distances between cameras are hardly known: what only two see
+tells a direction. Of photos ten degrees apart 3.6 to 5.5 do; of rendered ones 28 degrees apart, whose cameras came out
+in wrong places, 2.3 to 2.9."""
 _NAMED = 8  # most photos that a sentence names
 _COULD_BE_INSTALLED = say("worker_with_extra_capture2vr_learned")
 
@@ -44,7 +48,20 @@ def _advice(photos: Sequence[Photo], attempt: Attempt, index: int) -> str:
 
 
 def placement_warnings(photos: Sequence[Photo], attempt: Attempt) -> tuple[str, ...]:
-    """Return a warning that names the photos that could not be placed, if any."""
+    """Return warnings that name the photos that could not be placed, and tell where the places of others are unsure."""
+    return (*_left_out_warnings(photos, attempt), *_unsure_warnings(photos, attempt))
+
+
+def _unsure_warnings(photos: Sequence[Photo], attempt: Attempt) -> tuple[str, ...]:
+    if all(photo.camera_to_world is not None for photo in photos):
+        return ()
+    if any(len(each.xy) > len(each.descriptors) for each in attempt.features):  # a network's, which it finds by pairs
+        return ()
+    seen_by = len(attempt.answer.seen_point) / max(len(attempt.answer.xyz), 1)
+    return (say("places_seen_by_few_photos", seen_by=seen_by),) if seen_by < _SEEN_BY else ()
+
+
+def _left_out_warnings(photos: Sequence[Photo], attempt: Attempt) -> tuple[str, ...]:
     placed, count = attempt.answer.placed, len(photos)
     if len(placed) == count:
         return ()

@@ -84,10 +84,9 @@ class _View:
         panorama = self.whole(None if side == self.side else round(side * 360 / _FIELD))
         height, width = panorama.shape[:2]
         longitude, latitude = _directions(side, self.turn)
-        column = (longitude / 360 + 0.5) % 1 * width - 0.5
-        row = np.clip((latitude / 180 + 0.5) * height - 0.5, 0, height - 1)
-        at = (each.astype(np.float32) for each in (column, row))
-        return np.asarray(cv2.remap(panorama, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), np.uint8)
+        column = ((longitude / 360 + 0.5) % 1 * width - 0.5).astype(np.float32)
+        row = np.clip((latitude / 180 + 0.5) * height - 0.5, 0, height - 1).astype(np.float32)
+        return np.asarray(cv2.remap(panorama, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), np.uint8)
 
 
 def _directions(side: int, turn: float) -> tuple[Floats, Floats]:
