@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from capture2vr.edge.capture.nouns import Capture, Cloud
+from capture2vr.edge.points.clean_cloud import cloud_points
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.process.archives import unpack
 
@@ -75,6 +76,9 @@ def test_a_room_is_six_metres_long(name: str, data_dir: Path, tmp_path: Path) ->
     if name == "xyz_utm":
         np.testing.assert_array_equal(cloud_of(capture).origin, (345_678, 5_432_100, 321))
         np.testing.assert_array_equal(capture.up, (0, 0, 1))
+        offset = cloud_points(capture).offset
+        assert offset is not None
+        np.testing.assert_array_equal(offset, (345_678, 5_432_100, 321))
 
 
 def test_the_notch_of_a_floor_plan_has_no_floor(data_dir: Path, tmp_path: Path) -> None:

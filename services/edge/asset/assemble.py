@@ -114,9 +114,8 @@ def assemble_bundle(
         costs = [measure_cost(glb) for glb in files.values()]
         files |= preview_images(assets, last=last, brief=edition.brief, tick=tick)
         files |= splats
-        files["mesh.ply"] = ply_bytes(
-            coloured.full, filled=surface.surface.filled_vertices if surface.surface.filled.any() else None
-        )
+        filled = surface.surface.filled_vertices if surface.surface.filled.any() else None
+        files["mesh.ply"] = ply_bytes(coloured.full, filled=filled, offset=subject.points.offset)
         quality, private = edition.quality, dict[str, bytes]()
         if last:
             files |= capture_files(subject.colours, to_asset)

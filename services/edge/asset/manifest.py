@@ -191,6 +191,7 @@ def build_manifest(
         "edits": points.edits.as_json,
         "scale_confidence": points.scale_confidence,
         "capture_to_asset": [float(value) for value in to_asset.ravel()],
+        "capture_offset": None if points.offset is None else [float(value) for value in points.offset],
         "unit_frame": {"centre": [float(value) for value in unit.centre], "size": float(unit.size)},
         "bounds_m": [low.tolist(), high.tolist()],
         "size_m": (high - low).tolist(),

@@ -57,8 +57,11 @@ class BundleFolder:
 
     @property
     def to_asset(self) -> Floats:
-        """Transform (4,4) from the capture frame, in which the full mesh and the points are, to the asset frame."""
+        """Transform (4,4) from the frame of the capture's file, in which the full mesh is, to the asset frame."""
         matrix: Floats = np.array(self.manifest["capture_to_asset"], np.float64).reshape(4, 4)
+        offset = self.manifest.get("capture_offset")
+        if offset is not None:
+            matrix[:3, 3] -= matrix[:3, :3] @ np.array(offset)
         return matrix
 
 

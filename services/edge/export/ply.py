@@ -6,24 +6,27 @@ from pathlib import Path
 
 import numpy as np
 
-from capture2vr.edge.arrays import Bools
+from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.mesh.nouns import Mesh
 
-_TYPES = {"<f4": "float", "u1": "uchar"}
+_TYPES = {"<f4": "float", "<f8": "double", "u1": "uchar"}
 
 
-def ply_bytes(mesh: Mesh, *, filled: Bools | None = None) -> bytes:
+def ply_bytes(mesh: Mesh, *, filled: Bools | None = None, offset: Floats | None = None) -> bytes:
     """Encode a mesh as little-endian binary PLY; positions become float32, in the mesh's frame.
 
     filled (V,): vertices that fill holes, written as the property `filled`, 0 or 1; None: no such property.
+    offset (3,): added to all positions, which become float64, as those of surveys are large; None: none.
     """
-    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+    kind = "<f4" if offset is None else "<f8"
+    fields = [("x", kind), ("y", kind), ("z", kind)]
     if mesh.rgb is not None:
         fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
     if filled is not None:
         fields.append(("filled", "u1"))
     vertices = np.empty(len(mesh.vertices), dtype=fields)
-    for name, column in zip("xyz", np.asarray(mesh.vertices).T, strict=True):
+    placed = mesh.vertices if offset is None else np.asarray(mesh.vertices, np.float64) + offset
+    for name, column in zip("xyz", np.asarray(placed).T, strict=True):
         vertices[name] = column
     if mesh.rgb is not None:
         for name, column in zip(("red", "green", "blue"), np.asarray(mesh.rgb).T, strict=True):

@@ -82,6 +82,7 @@ class _Head:
     scale_confidence: ScaleConfidence
     up: _Vector | None
     up_source: UpSource | None
+    offset: _Vector | None
     warnings: tuple[str, ...]
     unseen: tuple[UnseenSide, ...]
     cut: CutReport | None
@@ -160,6 +161,7 @@ def _read_points(scratch: Path, head: _Head) -> Points:
         warnings=head.warnings,
         unseen=head.unseen,
         up_source=head.up_source,
+        offset=None if head.offset is None else np.array(head.offset, np.float64),
         cut=head.cut,
         edits=head.edits,
         cameras=head.cameras,
@@ -180,6 +182,7 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
         scale_confidence=points.scale_confidence,
         up=None if points.up is None else _vector(points.up),
         up_source=points.up_source,
+        offset=None if points.offset is None else _vector(points.offset),
         warnings=points.warnings,
         unseen=points.unseen,
         cut=points.cut,

@@ -67,6 +67,7 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
         up_source=None if capture.up is None else capture.up_source,
         warnings=capture.warnings + warnings,
         whole=capture.whole or _whole(capture.cloud),
+        offset=capture.cloud.origin,
     )
 
 

@@ -91,7 +91,8 @@ class Points:
     edits: the recipe that was applied;
     drawn_in: posed frames of the pictures that the recipe's lassos are in, until it is applied;
     inferred (N,): mask of the points that nobody measured: they close what photos gave no depth of; None without any;
-    closed: whether the object has no true openings, as far as photos and inferred points tell.
+    closed: whether the object has no true openings, as far as photos and inferred points tell;
+    offset (3,): what was subtracted from the coordinates of a survey's file, which are large; None for others.
     """
 
     xyz: Floats
@@ -114,6 +115,7 @@ class Points:
     drawn_in: tuple[Frame, ...] = ()
     inferred: Bools | None = None
     closed: bool = False
+    offset: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.splats.spz import from_spz, to_spz
 from capture2vr.edge.splats.surface_splats import MOST_SPLATS, cover_with_splats
 from tests.referees.glb_reader import Glb
-from tests.support.downloadable import SHEET, coloured, downloadable, textured, written
+from tests.support.downloadable import SHEET, coloured, downloadable, in_capture_frame, textured, written
 from tests.support.photos.painted import quarters
 from tests.support.tilesets import CELLS, hill_bundle, hill_tile, hills
 
@@ -161,6 +162,14 @@ def test_ply_is_the_full_mesh_upright_in_metres(tmp_path: Path) -> None:
     np.testing.assert_allclose(bounds(found.vertices), bounds(SHEET.vertices @ Z_UP.T), atol=1e-5)
     left = found.visual.vertex_colors[found.vertices[:, 0].argmin()]
     assert left[0] > left[2]
+
+
+def test_the_full_mesh_of_a_survey_comes_back_from_where_its_file_has_it(tmp_path: Path) -> None:
+    near, offset = downloadable(), np.array([345_678.25, 5_432_100.5, 321.0])
+    far = {**near.files, "mesh.ply": ply_bytes(in_capture_frame(coloured()), offset=offset)}
+    moved = replace(near, files=far, manifest={**near.manifest, "capture_offset": offset.tolist()})
+    found = loaded(convert(written(moved, tmp_path), "ply", "sheet"), "ply")
+    np.testing.assert_allclose(bounds(found.vertices), bounds(SHEET.vertices @ Z_UP.T), atol=1e-5)
 
 
 def test_stl_is_the_full_mesh_upright_in_millimetres(tmp_path: Path) -> None:

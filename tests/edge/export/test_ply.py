@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from capture2vr.edge.export.ply import write_ply
+from capture2vr.edge.export.ply import ply_bytes, write_ply
 from tests.support import surfaces
 
 MESH = surfaces.grid_with_holes()
@@ -37,3 +37,11 @@ def test_geometry_and_colours_come_back(tmp_path: Path) -> None:
 def test_a_mesh_without_colours_has_none(tmp_path: Path) -> None:
     write_ply(MESH, tmp_path / "mesh.ply")
     assert _properties(_read(tmp_path / "mesh.ply"))["vertex"] == ["x", "y", "z"]
+
+
+def test_far_from_the_origin_no_millimetre_is_lost(tmp_path: Path) -> None:
+    offset = np.array([345_678.25, 5_432_100.5, 321.0])
+    (tmp_path / "mesh.ply").write_bytes(ply_bytes(MESH, offset=offset))
+    read = _read(tmp_path / "mesh.ply")
+    np.testing.assert_allclose(read.vertices - offset, MESH.vertices, atol=1e-6)
+    assert np.array_equal(read.faces, MESH.faces)

@@ -78,6 +78,7 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
         held_out_views=(view(2),) if pictured else (),
         inferred=np.arange(count) >= count - 10,
         closed=True,
+        offset=np.array([345_678.25, 5_432_100.5, 321.0]),
     )
     return PreparedPoints(points, CaptureFacts("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
 
@@ -98,6 +99,7 @@ def anything(draw: st.DrawFn) -> PreparedPoints:
     )
     if draw(st.booleans()):
         points = replace(points, rgb=None, up=None, unseen=(), cut=None, up_source=None, inferred=None, closed=False)
+        points = replace(points, offset=None)
     source = CaptureFacts(draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40)))
     return PreparedPoints(points, source, draw(st.dictionaries(st.just("POINT_CLOUD"), st.floats(0, 1e6))))
 
@@ -114,6 +116,7 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
                 (ours.confidence, theirs.confidence),
                 (ours.up, theirs.up),
                 (ours.inferred, theirs.inferred),
+                (ours.offset, theirs.offset),
             ]
         )
         and (
