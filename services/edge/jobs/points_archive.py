@@ -23,6 +23,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
+from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import PictureCamera, ScaleConfidence, UpSource
 from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints
 from capture2vr.edge.jobs.archived_arrays import invalid, read_array, write_array
@@ -157,11 +158,11 @@ def _read_points(scratch: Path, head: _Head) -> Points:
         closed=head.closed,
         metres_per_unit=head.metres_per_unit,
         scale_confidence=head.scale_confidence,
-        up=None if head.up is None else np.array(head.up, np.float64),
+        up=_array(head.up),
         warnings=head.warnings,
         unseen=head.unseen,
         up_source=head.up_source,
-        offset=None if head.offset is None else np.array(head.offset, np.float64),
+        offset=_array(head.offset),
         cut=head.cut,
         edits=head.edits,
         cameras=head.cameras,
@@ -180,9 +181,9 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
         closed=points.closed,
         metres_per_unit=float(points.metres_per_unit),
         scale_confidence=points.scale_confidence,
-        up=None if points.up is None else _vector(points.up),
+        up=_vector(points.up),
         up_source=points.up_source,
-        offset=None if points.offset is None else _vector(points.offset),
+        offset=_vector(points.offset),
         warnings=points.warnings,
         unseen=points.unseen,
         cut=points.cut,
@@ -195,9 +196,15 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
     )
 
 
-def _vector(direction: Any) -> _Vector:
-    x, y, z = (float(value) for value in direction)
+def _vector(found: Any) -> _Vector | None:
+    if found is None:
+        return None
+    x, y, z = (float(value) for value in found)
     return x, y, z
+
+
+def _array(vector: _Vector | None) -> Floats | None:
+    return None if vector is None else np.array(vector, np.float64)
 
 
 def _read_head(path: Path) -> _Head:

@@ -66,6 +66,14 @@ def test_a_notch_stays_free(flat: list[tuple[float, float]]) -> None:
     assert mesh.area == pytest.approx(abs(area(placed(flat, np.eye(4)))[2]) + 0.5)
 
 
+def test_a_polygon_of_very_many_corners_costs_no_more_than_its_triangles() -> None:
+    turn = np.linspace(0, 2 * np.pi, 300_000, endpoint=False)
+    reach = 1 + 0.5 * (np.arange(len(turn)) % 2)
+    gear = np.stack([reach * np.cos(turn), reach * np.sin(turn), 0 * turn], axis=1)
+    rows, _ = triangulate(gear, np.arange(len(gear)), np.array([len(gear)]))
+    assert len(rows) == len(gear) - 2
+
+
 def test_convex_polygons_are_fans() -> None:
     turn = 2 * np.pi * np.arange(6) / 6
     rows, polygon = triangulate(np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1), np.arange(6), np.array([6]))
