@@ -45,3 +45,10 @@ def evenly(items: Sequence[Item], most: int) -> Sequence[Item]:
 def pick(rows: NDArray[Picked] | None, which: Bools | Ints) -> NDArray[Picked] | None:
     """Select rows by a mask or by indices: rows[which], or None if `rows` is None."""
     return None if rows is None else rows[which]
+
+
+def smoothstep(value: Floats, bounds: tuple[float, float]) -> Floats:
+    """Smoothstep: 0 below the first bound, 1 above the second, smooth in between."""
+    t = np.clip((value - bounds[0]) / (bounds[1] - bounds[0]), 0, 1)
+    smooth: Floats = t * t * (3 - 2 * t)
+    return smooth

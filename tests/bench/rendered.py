@@ -45,7 +45,7 @@ def one(name: str, out: Path | None = None, photos: Path | None = None) -> dict[
         known, truth = rendered(name, photos / slug(name) if photos else Path(folder), render=photos is None)
         made = make(Row(read_capture(known.source), known=known))
         to_shape = to_truth(truth, made.frames)
-        mesh = full_mesh(made.bundle)
+        mesh, filled = full_mesh(made.bundle), filled_vertices(made.bundle)
         laid = Mesh(mesh.vertices @ to_shape[:3, :3].T + to_shape[:3, 3], mesh.faces, mesh.rgb)
         if out:
             write_pictures(out, made.bundle)
@@ -57,9 +57,9 @@ def one(name: str, out: Path | None = None, photos: Path | None = None) -> dict[
             "seconds": round(made.seconds, 1),
             "pieces": quality["components"],
             **closing_figures(quality),
-            **seam_figures(laid, filled_vertices(made.bundle)),
+            **seam_figures(laid, filled),
             **{title: photo[title] for title in ("cover %", "lace %", "worst lace %", "leak %")},
-            **Comparison(laid, truth, filled_vertices(made.bundle)).figures(),
+            **Comparison(laid, truth, filled).figures(),
             **depth_by_luma(truth, made.frames, to_shape),
         }
 

@@ -53,12 +53,16 @@ def placement_warnings(photos: Sequence[Photo], attempt: Attempt) -> tuple[str, 
 
 
 def _unsure_warnings(photos: Sequence[Photo], attempt: Attempt) -> tuple[str, ...]:
-    if all(photo.camera_to_world is not None for photo in photos):
+    if _have_poses(photos):
         return ()
     if any(len(each.xy) > len(each.descriptors) for each in attempt.features):  # a network's, which it finds by pairs
         return ()
     seen_by = len(attempt.answer.seen_point) / max(len(attempt.answer.xyz), 1)
     return (say("places_seen_by_few_photos", seen_by=seen_by),) if seen_by < _SEEN_BY else ()
+
+
+def _have_poses(photos: Sequence[Photo]) -> bool:
+    return all(photo.camera_to_world is not None for photo in photos)
 
 
 def _left_out_warnings(photos: Sequence[Photo], attempt: Attempt) -> tuple[str, ...]:
@@ -104,7 +108,7 @@ def low_overlap(photos: Sequence[Photo], attempt: Attempt) -> CaptureError:
     placed = attempt.answer.placed
     left_out = attempt.left_out
     hints = (say("not_placed", names=_names(photos, left_out)), *_gaps(photos, attempt), HOW_TO_SHOOT)
-    if all(photo.camera_to_world is not None for photo in photos):
+    if _have_poses(photos):
         hints = (*hints, say("check_poses_belong_to_these"))
     hints = (*hints, *_more_matches(attempt))
     plain = sum(len(features.descriptors) < _UNTEXTURED for features in attempt.features)

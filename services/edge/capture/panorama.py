@@ -37,7 +37,7 @@ none there."""
 def is_panorama(path: Path, photo: Photo) -> bool:
     """Return whether a photo shows 360 by 180 degrees. Raises IMAGE_UNREADABLE."""
     width, height = photo.size
-    return width == 2 * height and (_says_so(path) or _looks_so(photo.load(_LONGEST_PX).astype(np.float64)))
+    return width == 2 * height and (_PROJECTION in _head(path) or _looks_so(photo.load(_LONGEST_PX).astype(np.float64)))
 
 
 def views_of(path: Path, photo: Photo) -> list[Photo]:
@@ -46,7 +46,8 @@ def views_of(path: Path, photo: Photo) -> list[Photo]:
     Where it has XMP and is not tilted, gravity is known in them.
     """
     side = max(1, round(photo.size[0] * _FIELD / 360))
-    level = _says_so(path) and not _TILTED.search(_head(path))
+    head = _head(path)
+    level = _PROJECTION in head and not _TILTED.search(head)
     view = replace(
         photo,
         size=(side, side),
@@ -99,10 +100,6 @@ def _directions(side: int, turn: float) -> tuple[Floats, Floats]:
 def _head(path: Path) -> bytes:
     with path.open("rb") as stream:
         return stream.read(_HEAD_BYTES)
-
-
-def _says_so(path: Path) -> bool:
-    return _PROJECTION in _head(path)
 
 
 def _looks_so(picture: Floats) -> bool:

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, evenly, no_tick, part_of, pick
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, evenly, no_tick, part_of, pick, smoothstep
 from capture2vr.edge.closing.carving import Carving
 from capture2vr.edge.closing.lay_on_points import lay_on_points, smooth_parts
 from capture2vr.edge.closing.loose_parts import LooseParts, is_loose
@@ -135,7 +135,7 @@ def infer_missing(
     fringe = beside | ((away < 1) & (np.abs(above) > _FRINGE_OFF * spacing))
     if closed:
         fringe |= inside
-    joined = xyz - (_eased(1 - away) * above)[:, None] * up
+    joined = xyz - (smoothstep(1 - away, (0, 1)) * above)[:, None] * up
     places, light = sample_parts(solid, chosen, cKDTree(joined[~fringe]), spacing, pick(rgb, ~fringe))
     tick(1.0)
     return MissingPoints(places, light, fringe, joined, closed)
@@ -165,9 +165,3 @@ def _above(mesh: Mesh, xyz: Floats, cell: float) -> tuple[Floats, Floats]:
     up = np.einsum("nk,nkx->nx", weight, normals)
     up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
     return (weight * height).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9), up
-
-
-def _eased(share: Floats) -> Floats:
-    """Return shares (N,) in [0,1] as they are eased in and out."""
-    eased: Floats = share * share * (3 - 2 * share)
-    return eased

@@ -16,10 +16,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick, smoothstep
 from capture2vr.edge.field.denoise import denoise
 from capture2vr.edge.field.local import local_field
-from capture2vr.edge.field.noise import SCALES, Noise, interpolate_regions, noise_level, regions, smoothstep
+from capture2vr.edge.field.noise import SCALES, Noise, interpolate_regions, noise_level, regions
 
 DENOISED_RATIO = (1.25, 1.5)  # s/r: noise below, folds above, a smooth transition in between
 MEASURED_GAP = (0.28, 0.31)  # r/h: folds are possible below; above it is noise, whatever s/r is

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
-from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.arrays import Floats, Ints, smoothstep
 from capture2vr.edge.field.planes import CHUNK, SPACING_RANK, rank_spacing
 from capture2vr.edge.field.quadrics import QUADRIC, TINY, monomials, tangents, weighted_pca
 from capture2vr.edge.parallel import in_threads, slices
@@ -129,10 +129,3 @@ def _deviation(relative: Floats, radius: Floats) -> Floats:
     residual = height - np.einsum("nka,na->nk", terms, coefficients)
     deviation: Floats = np.sqrt(np.square(residual).sum(axis=1) / (relative.shape[1] - QUADRIC))
     return deviation
-
-
-def smoothstep(value: Floats, bounds: tuple[float, float]) -> Floats:
-    """Smoothstep: 0 below the first bound, 1 above the second, smooth in between."""
-    t = np.clip((value - bounds[0]) / (bounds[1] - bounds[0]), 0, 1)
-    smooth: Floats = t * t * (3 - 2 * t)
-    return smooth
