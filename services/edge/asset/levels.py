@@ -20,6 +20,7 @@ from capture2vr.edge.render.place_views import posed_picture
 from capture2vr.edge.render.thumbnail import thumbnail, turning_preview
 from capture2vr.edge.texture.bake_normals import FullShape, bake_normals
 from capture2vr.edge.texture.bake_photos import PhotoProjection
+from capture2vr.edge.texture.light_of_photos import with_light_of_photos
 from capture2vr.edge.texture.nearest_colour import ColouredPoints
 from capture2vr.edge.texture.texture_mesh import Palette, texture_levels
 
@@ -56,12 +57,12 @@ def add_textures(
     target, points = subject.target, subject.colours
     if points.rgb is None or not target.texture_px:
         return tuple(levels), ()
-    known = ColouredPoints.of(points.xyz @ to_asset[:3, :3].T + to_asset[:3, 3], points.rgb)
+    known = ColouredPoints.of(points.xyz @ to_asset[:3, :3].T + to_asset[:3, 3], points.rgb, points.inferred)
     palette = Palette(known)
     if points.texture_views:
         posed = [posed_picture(view, to_asset) for view in points.texture_views]
         pictures = PhotoProjection(levels[0], posed, known, part_of(tick, 0, _EXPOSURE_SHARE))
-        palette = Palette(known, pictures, pictures.pixel)
+        palette = with_light_of_photos(Palette(known, pictures, pictures.pixel), levels[0])
 
     def fits(made: TexturedMesh) -> bool:
         return not target.last_bytes or len(pack_glb(made, target)) <= target.last_bytes

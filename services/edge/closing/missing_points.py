@@ -29,7 +29,7 @@ from capture2vr.edge.closing.carving import Carving
 from capture2vr.edge.closing.lay_on_points import lay_on_points, smooth_parts
 from capture2vr.edge.closing.loose_parts import LooseParts, is_loose
 from capture2vr.edge.closing.oriented_points import orient_points, ramp
-from capture2vr.edge.closing.sample_parts import grown, sample_parts
+from capture2vr.edge.closing.sample_parts import grown, sample_parts, spread_colours
 from capture2vr.edge.closing.solid import fit_solid
 from capture2vr.edge.mesh.distance import distance_to_mesh
 from capture2vr.edge.mesh.normals import vertex_normals
@@ -136,9 +136,11 @@ def infer_missing(
     if closed:
         fringe |= inside
     joined = xyz - (smoothstep(1 - away, (0, 1)) * above)[:, None] * up
-    places, light = sample_parts(solid, chosen, cKDTree(joined[~fringe]), spacing, pick(rgb, ~fringe))
+    tinted = sure & ~fringe if (sure & ~fringe).any() else sure
+    light = None if rgb is None else spread_colours(solid, chosen, joined[tinted], rgb[tinted])
+    places, colours = sample_parts(solid, chosen, cKDTree(joined[~fringe]), spacing, light)
     tick(1.0)
-    return MissingPoints(places, light, fringe, joined, closed)
+    return MissingPoints(places, colours, fringe, joined, closed)
 
 
 def _lie_on(xyz: Floats, mesh: Mesh, spacing: float) -> bool:

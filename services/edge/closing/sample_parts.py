@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import diags_array
-from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats
-from capture2vr.edge.mesh.edges import edges_of, neighbour_laplacian
+from capture2vr.edge.mesh.edges import edges_of, spread_values
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.sampling import sample
@@ -21,14 +19,17 @@ _APART = 1.0
 """Spacings from measured points within which no points are inferred."""
 _RINGS = 3
 """Rings of triangles around a part that are sampled too: between it and the last points is a gap of `_LOOSE`."""
+_AROUND = 8
+"""Points whose mean colour a vertex takes."""
 _INNER = 2
 """Rings of triangles around a part whose colours do not count: background shines into them."""
 
 
 def sample_parts(
-    mesh: Mesh, chosen: Bools, tree: cKDTree, spacing: float, rgb: Bytes | None
+    mesh: Mesh, chosen: Bools, tree: cKDTree, spacing: float, light: Floats | None
 ) -> tuple[Floats, Bytes | None]:
-    """Sample chosen faces (F,): points (M,3), sparser far from measured ones, and their colours (M,3)."""
+    """Sample chosen faces (F,): points (M,3), sparser far from measured ones, which a tree has, and their colours
+    (M,3); light (V,3): of the mesh's vertices, linear, or None."""
     part = Mesh(mesh.vertices, mesh.faces[grown(mesh, chosen, _RINGS)])
     areas = np.linalg.norm(face_normals(part.vertices, part.faces), axis=1) / 2
     places = sample(part, max(1, int(2 * areas.sum() / spacing**2)), np.random.default_rng(0)).xyz
@@ -41,36 +42,18 @@ def sample_parts(
         _, one = np.unique(voxel_keys(places[index], apart * spacing), return_index=True)
         taken[index[one]] = True
     places = places[taken]
-    if rgb is None:
+    if light is None:
         return places, None
-    light = _spread_colours(mesh, chosen, tree, to_linear(rgb))
     return places, to_srgb(light[cKDTree(mesh.vertices).query(places, workers=-1)[1]])
 
 
-def _spread_colours(mesh: Mesh, chosen: Bools, tree: cKDTree, light: Floats) -> Floats:
-    """Light (V,3) of a mesh's vertices: the points' (N,3) where there are any, and smooth between these."""
+def spread_colours(mesh: Mesh, chosen: Bools, xyz: Floats, rgb: Bytes) -> Floats:
+    """Return linear light (V,3) of a mesh's vertices: that of coloured points (N,3), smooth in chosen faces (F,)."""
     unknown = np.zeros(len(mesh.vertices), bool)
     unknown[mesh.faces[grown(mesh, chosen, _INNER)]] = True
-    nearest = tree.query(mesh.vertices, k=range(1, 9), workers=-1)[1]
-    spread: Floats = light[nearest].mean(axis=1)
-    if unknown.all() or not unknown.any():
-        return spread
-    matrix = neighbour_laplacian(edges_of(mesh.faces).ends, len(mesh.vertices))
-    known = np.flatnonzero(~unknown)
-    inner = np.flatnonzero(unknown)
-    square = matrix[inner][:, inner].tocsr()
-    right = -(matrix[inner][:, known] @ spread[known])
-    spread[inner] = spread[known].mean(axis=0)
-    system, wanted = (square.T @ square).tocsr(), square.T @ right
-    for channel in range(3):
-        spread[inner, channel], _ = cg(
-            system + 1e-6 * diags_array(np.ones(len(inner))),
-            wanted[:, channel],
-            x0=spread[inner, channel],
-            rtol=1e-4,
-            maxiter=300,
-        )
-    return spread
+    nearest = cKDTree(xyz).query(mesh.vertices, k=range(1, 1 + min(_AROUND, len(xyz))), workers=-1)[1]
+    spread: Floats = to_linear(rgb)[nearest].mean(axis=1)
+    return spread_values(spread, edges_of(mesh.faces).ends, unknown)
 
 
 def grown(mesh: Mesh, chosen: Bools, rings: int) -> Bools:

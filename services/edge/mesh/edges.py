@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse.linalg import splu
 
-from capture2vr.edge.arrays import Ints
+from capture2vr.edge.arrays import Bools, Floats, Ints
+
+_PINNED = 1e-6  # weight of unknown values' own: without it those that no known one is connected to have no solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +106,20 @@ def neighbour_laplacian(ends: Ints, count: int) -> csr_array:
     links = coo_array((np.ones(len(both)), both.T), shape=(count, count)).tocsr()
     mean = diags_array(1 / np.maximum(links.sum(axis=1), 1)) @ links
     return (diags_array(np.ones(count)) - mean).tocsr()
+
+
+def spread_values(values: Floats, ends: Ints, unknown: Bools) -> Floats:
+    """Return values (V,C) at vertices that edges (E,2) connect, of which unknown ones (V,) become the mean of their
+    neighbours: smooth between the known ones, and unchanged where no known one is connected to them."""
+    inner, known = np.flatnonzero(unknown), np.flatnonzero(~unknown)
+    if not len(inner):
+        return values
+    matrix = neighbour_laplacian(ends, len(values))[inner]
+    right = _PINNED * values[inner] - matrix[:, known] @ values[known]
+    spread = values.copy()
+    system = matrix[:, inner] + _PINNED * diags_array(np.ones(len(inner)))
+    spread[inner] = splu(system.tocsc(), "MMD_AT_PLUS_A").solve(right)
+    return spread
 
 
 def next_half(half: Ints) -> Ints:

@@ -3,7 +3,8 @@
 1. align   refine the photos' poses on the mesh (`refine_poses`): prints of two photos a pixel apart would be blurred
 2. expose  match the photos' exposures and white balances to each other (`match_exposures`): a phone exposes each photo
            anew
-3. see     find the places that a photo sees, and how well (`photo_visibility`)
+3. see     find the places that a photo sees, and how well (`photo_visibility`); close to outlines it is trusted less
+           with inferred surface, which may stand out beyond the object
 4. choose  of many photos the best few, for cells of some texels
 5. sample  bicubically: prints are a fifth to a half sharper than bilinearly (docs/points.md)
 6. blend   with a high power of how well each photo sees the place: next to the best view the others count little,
@@ -28,7 +29,13 @@ from capture2vr.edge.srgb import to_linear
 from capture2vr.edge.texture.bake import positions_and_normals, random_places
 from capture2vr.edge.texture.match_exposures import match_exposures
 from capture2vr.edge.texture.nearest_colour import ColouredPoints
-from capture2vr.edge.texture.photo_visibility import PhotoVisibility, depth_of_object, pixel_width, usual_distance
+from capture2vr.edge.texture.photo_visibility import (
+    PhotoVisibility,
+    VisiblePlaces,
+    depth_of_object,
+    pixel_width,
+    usual_distance,
+)
 from capture2vr.edge.texture.refine_poses import LONGEST_PX, SeenPlaces, refine_poses
 
 _POWER = 12  # p: of views 10° apart the second best counts 0.8, the third 0.4, the fourth 0.2
@@ -46,12 +53,14 @@ _LOOK_SHARE = 0.5  # of the time before baking goes into loading the photos; the
 @dataclass(frozen=True, slots=True)
 class _Look:
     """What one photo shows of the probes: rgb (h,w,3), downsampled; all that it sees, and what lies away from outlines;
-    pixel (M,): width of a pixel at each place that it sees, in units of the mesh."""
+    pixel (M,): width of a pixel at each place that it sees, in units of the mesh; within (h,w): how far inside of
+    outlines its pixels lie, None where the mesh has no inferred surface."""
 
     rgb: Bytes
     all: SeenPlaces
     inner: SeenPlaces
     pixel: Floats
+    within: Floats | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +98,7 @@ class PhotoProjection:
         self._depths = [depth_of_object(picture) for picture in pictures]
         places, normals = positions_and_normals(mesh, *random_places(mesh, _PROBES))
         self._visibility = PhotoVisibility(mesh, usual_distance(places, pictures, self._depths))
-        known = points.light_at(places)
+        self._points, known = points, points.light_at(places)
         looks = in_threads(
             lambda number: self._look_at(places, normals, number),
             range(len(pictures)),
@@ -100,7 +109,7 @@ class PhotoProjection:
             finest[each.all.index] = np.minimum(finest[each.all.index], each.pixel)
         anywhere = np.isfinite(finest)
         self.pixel = float(np.median(finest[anywhere])) if anywhere.any() else 0.0
-        small = [each.rgb for each in looks]
+        small, self._within = [each.rgb for each in looks], [each.within for each in looks]
         self._pictures = refine_poses(
             pictures,
             [_grey(rgb) for rgb in small],
@@ -114,12 +123,15 @@ class PhotoProjection:
         """Load a photo, and find which places it sees."""
         picture, depth = self._pictures[number], self._depths[number]
         visible, rgb = self._visibility.visible_places(picture, depth, places, normals), picture.load_rgb()
+        small = shrink_to(rgb, LONGEST_PX)
+        within = self._visibility.within_outlines
         inner = pixels_at(_inner_mask(depth), visible.at)
         return _Look(
-            shrink_to(rgb, LONGEST_PX),
+            small,
             SeenPlaces(visible.index, visible.quality),
             SeenPlaces(visible.index[inner], visible.quality[inner]),
             pixel_width(picture, rgb) * visible.depth,
+            None if self._points.inferred is None else within(picture, small.shape[:2]),
         )
 
     def __call__(self, places: Floats, normals: Floats, texel: float, tick: Tick) -> tuple[Floats, Floats]:
@@ -128,20 +140,20 @@ class PhotoProjection:
         Returns linear light (N,3), and (N,) how reliable it is in [0,1].
         """
         places, normals = places.astype(np.float32), normals.astype(np.float32)
-        cell, chosen = self._choose_pictures(places, normals, texel)
+        cell, chosen, inferred = self._choose_pictures(places, normals, texel)
         blend = _Blend.of(len(places))
         for number in range(len(self._pictures)):
             index = np.flatnonzero(chosen[cell, number])
             done = part_of(tick, number / len(self._pictures), (number + 1) / len(self._pictures))
             if len(index):
-                add = self._adder(number, places, normals, index, texel, blend)
+                add = self._adder(number, places, normals, index, texel, blend, inferred[cell])
                 in_threads(add, slices(len(index), _AT_ONCE), done)
         light = blend.light / np.maximum(blend.weight, 1e-30)[:, None]
         return np.clip(light, 0, 1), np.clip((blend.best - _UNSURE) / (_SURE - _UNSURE), 0, 1)
 
-    def _choose_pictures(self, places: Floats, normals: Floats, texel: float) -> tuple[Ints, Bools]:
-        """Group places into cells, and choose the best pictures of each: the cell (N,) of each place, and a mask
-        (cells, pictures).
+    def _choose_pictures(self, places: Floats, normals: Floats, texel: float) -> tuple[Ints, Bools, Floats]:
+        """Group places into cells, and choose the best pictures of each: the cell (N,) of each place, a mask (cells,
+        pictures), and which share (cells,) of a cell's surface was inferred.
 
         A picture that is not chosen would have less than a tenth of the best one's weight. Where the middle of a cell
         is hidden, a part of it may still be seen: such a picture comes last.
@@ -149,22 +161,30 @@ class PhotoProjection:
         cell, middles, facing = _cells(
             places, normals, max(_CELL_TEXELS * texel, _LEAST_CELL * self._visibility.longest)
         )
+        inferred = self._points.inferred_share(middles)
         quality = np.zeros((len(middles), len(self._pictures)), np.float32)
 
         def judge(number: int) -> None:
             picture = self._pictures[number]
             quality[:, number] = _HIDDEN * self._visibility.unoccluded_quality(picture, middles, facing)
             seen = self._visibility.visible_places(picture, self._depths[number], middles, facing)
-            quality[seen.index, number] = seen.quality
+            quality[seen.index, number] = self._trusted(number, seen, inferred)
 
         in_threads(judge, range(len(self._pictures)))
         if quality.shape[1] <= _MOST_PICTURES:
-            return cell, quality > 0
+            return cell, quality > 0, inferred
         least = np.partition(quality, -_MOST_PICTURES, axis=1)[:, -_MOST_PICTURES]
-        return cell, (quality > 0) & (quality >= least[:, None])
+        return cell, (quality > 0) & (quality >= least[:, None]), inferred
+
+    def _trusted(self, number: int, visible: VisiblePlaces, inferred: Floats) -> Floats:
+        """(M,) how well a photo sees places: less close to outlines, the more of the surface (N,) was inferred."""
+        within = self._within[number]
+        if within is None:
+            return visible.quality
+        return visible.quality * (1 - inferred[visible.index] * (1 - pixels_at(within, visible.at)))
 
     def _adder(
-        self, number: int, places: Floats, normals: Floats, index: Ints, texel: float, blend: _Blend
+        self, number: int, places: Floats, normals: Floats, index: Ints, texel: float, blend: _Blend, inferred: Floats
     ) -> Callable[[slice], None]:
         """Return a function that adds a photo's light to a slice of the places at `index`."""
         picture, gain, depth = self._pictures[number], self._gains[number], self._depths[number]
@@ -179,8 +199,9 @@ class PhotoProjection:
                 shrink = max(1, int(texel / pixel)) if pixel > 0 else 1
                 if shrink not in by_size:
                     by_size[shrink] = to_linear(_shrink(rgb, shrink))
+                quality = self._trusted(number, visible, inferred[own])
                 light = gain * np.maximum(bicubic(by_size[shrink], visible.at), 0)
-                blend.add(own[visible.index], light, visible.quality)
+                blend.add(own[visible.index], light, quality)
 
         return add
 

@@ -17,13 +17,15 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import LIFT, RaycastingScene
 from capture2vr.edge.render.sample_image import pixels_at, resize_mask
-from capture2vr.edge.render.silhouette import beyond
+from capture2vr.edge.render.silhouette import beyond, cast_pixels
 
 _LEAST_COSINE = 0.2  # 78°: beyond, a pixel covers five times its width
 _RIM = 0.06  # of the photo's sides: towards the edge, places within this rim count less and less
 _AGREES, _CONTRADICTS = 0.02, 0.05  # of the depth: how far a place may be from the depth image's surface
 _BEFORE_ALL = 1e-3  # of the depth: nearer than anything that is shown
 _CONFIRMS = 0.004  # of the depth: a place as near to the depth image's surface needs no ray; nothing hides it
+_STEP = 1.03  # relative step of the mesh's depth that is an outline
+_NEAR_OUTLINE, _WELL_INSIDE = 0.03, 0.08  # of the root of the silhouette's area, from outlines
 _NEAREST = 1.5  # nearer than the usual distance over this, q grows no more: one close-up must not replace all others
 
 
@@ -51,6 +53,22 @@ class PhotoVisibility:
     def longest(self) -> float:
         """Longest side of the mesh's bounding box."""
         return self._scene.longest
+
+    def within_outlines(self, picture: PosedPicture, size: tuple[int, int]) -> Floats:
+        """How far inside of the mesh's outlines a photo's pixels (h,w) lie, in [0,1]: 1 from a margin on; size: (h, w).
+
+        Outlines are where the mesh ends, or a farther part of it begins. Close to them a photo may show what is behind:
+        where surface was inferred, it may stand out beyond the object.
+        """
+        import cv2
+
+        hits, _ = cast_pixels(picture, self._scene, size[1], size[0])
+        z = np.where(hits.face >= 0, hits.along, 0).reshape(size).astype(np.float32)
+        window = np.ones((3, 3), np.uint8)
+        nearest, farthest = cv2.erode(z, window), cv2.dilate(z, window)
+        inner = ((nearest > 0) & (farthest < _STEP * nearest)).astype(np.uint8)
+        away = cv2.distanceTransform(inner, cv2.DIST_L2, 3) / max(1.0, float(np.sqrt((z > 0).sum())))
+        return np.asarray(np.clip((away - _NEAR_OUTLINE) / (_WELL_INSIDE - _NEAR_OUTLINE), 0, 1), np.float32)
 
     def unoccluded_quality(self, picture: PosedPicture, places: Floats, normals: Floats) -> Floats:
         """Quality (N,) of places as if nothing hid them: neither the mesh nor what the photo's depth shows."""

@@ -205,3 +205,14 @@ def test_it_can_be_stopped_between_two_pictures() -> None:
     pictures = PhotoProjection(GROUND, [photo((0, 0, 1.5))] * 3, known())
     with pytest.raises(Cancelled):
         pictures(places(), np.tile(UP, (4_000, 1)), 0.0, stop)
+
+
+def test_close_to_outlines_inferred_surface_is_left_to_the_points() -> None:
+    """It may stand out beyond the object there, and then the photo shows what is behind."""
+    points = known()
+    points = replace(points, inferred=points.xyz[:, 0] > 0)
+    at = places(inner=0.499) * [1, 0.6, 1]
+    _, sure = light_of(PhotoProjection(GROUND, [photo((0, 0, 1.5))], points), at)
+    beside = 0.5 - at[:, 0]
+    assert (sure[beside < 0.02] == 0).all()
+    assert (sure[beside > 0.1] == 1).all()  # where it was measured, up to its own outline
