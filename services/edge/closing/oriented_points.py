@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools, Floats, Ints
+from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.sample_image import pixels_at
 
@@ -38,8 +38,7 @@ class OrientedPoints:
 
 
 def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) -> tuple[OrientedPoints, Floats]:
-    """Estimate the normals of points (N,3) in the pictures' frame, and turn each to the cameras that see its point
-    and those around it on its sheet: at the border of what photos see, few see a point, and these along the surface.
+    """Estimate the normals of points (N,3) in the pictures' frame, and turn each to the cameras that see its point.
 
     Returned with how certainly each is of a surface, (N,), about 1 where it is: the mean cosine between its normal and
     those around it, over the median, as fur and leaves are rough everywhere; times the density, where that is low. In
@@ -51,19 +50,15 @@ def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) 
     near = xyz[around[:, :_NEIGHBOURS]]
     relative = near - near.mean(axis=1, keepdims=True)
     normal = np.linalg.eigh(np.matmul(relative.transpose(0, 2, 1), relative))[1][:, :, 0]
-    cosine = np.einsum("nkx,nx->nk", normal[around], normal)
-    towards, seen = _votes(xyz, normal, pictures)
-    one_sheet = _on_one_sheet(xyz, normal, around) * cosine**4
-    side = (one_sheet * np.sign(cosine) * towards[around]).sum(axis=1)
-    side /= np.maximum((one_sheet * seen[around]).sum(axis=1), 1e-9)
+    cosine = np.abs(np.einsum("nkx,nx->nk", normal[around], normal))
+    side = _side(xyz, normal, pictures)
     density = _over_median(1 / np.maximum(np.square(away[:, -1]), 1e-300))
-    certain: Floats = _over_median(np.abs(cosine).mean(axis=1)) * ramp(density, _SPARSE, _DENSE)
+    certain: Floats = _over_median(cosine.mean(axis=1)) * ramp(density, _SPARSE, _DENSE)
     return OrientedPoints(xyz, normal * np.sign(side)[:, None], np.abs(side)), certain
 
 
-def _votes(xyz: Floats, normal: Floats, pictures: Sequence[PosedPicture]) -> tuple[Floats, Floats]:
-    """(N,) how many cameras that see points (N,3) with normals (N,3) are on the normal's side, less those on the other;
-    and (N,) how many there are. A camera that looks along the surface counts less."""
+def _side(xyz: Floats, normal: Floats, pictures: Sequence[PosedPicture]) -> Floats:
+    """(N,) in [−1,1]: to which side of points (N,3) with normals (N,3) the cameras are that see them."""
     towards, seen = np.zeros(len(xyz)), np.zeros(len(xyz))
     for picture in pictures:
         inside, at, z = picture.in_view(xyz)
@@ -74,16 +69,8 @@ def _votes(xyz: Floats, normal: Floats, pictures: Sequence[PosedPicture]) -> tup
         share = np.clip(cosine / _GRAZING, -1, 1)
         towards[inside] += share
         seen[inside] += np.abs(share)
-    return towards, seen
-
-
-def _on_one_sheet(xyz: Floats, normal: Floats, around: Ints) -> Floats:
-    """(N,K) in [0,1]: how surely points lie on one sheet with their neighbours (N,K), which a stem's other side is not:
-    the fourth power of the squared cosine between the way to the neighbour and the tangent plane."""
-    way = xyz[around] - xyz[:, None]
-    off = np.square(np.einsum("nkx,nx->nk", way, normal)) / np.maximum(np.square(way).sum(axis=2), 1e-300)
-    sheet: Floats = (1 - off) ** 4
-    return sheet
+    side: Floats = towards / np.maximum(seen, 1e-9)
+    return side
 
 
 def _over_median(values: Floats) -> Floats:
