@@ -37,6 +37,8 @@ OPTIONS = st.builds(
     target=st.sampled_from(["", "quest3", "web-ktx2"]),
     cut=st.sampled_from(["", *OPTION_TABLE["cut"].choices]),
     fill=st.sampled_from(["", *OPTION_TABLE["fill"].choices]),
+    columns=st.sampled_from(["", "x=2,y=3,z=4", "x=1,y=2,z=3,r=5,g=6,b=7,i=9"]),
+    unit=st.sampled_from(["", *OPTION_TABLE["unit"].choices]),
     longest_m=st.none() | st.floats(LEAST_M, MOST_M),
     box=st.none()
     | st.builds(lambda left, top, photo: PhotoBox(left, top, left + 0.5, top + 0.25, photo), SHARES, SHARES, PHOTOS),
@@ -51,6 +53,8 @@ GIVEN: dict[str, tuple[JobOptions, str]] = {
     "target": (JobOptions(target="quest3"), "quest3"),
     "cut": (JobOptions(cut="scene"), "scene"),
     "fill": (JobOptions(fill="all"), "all"),
+    "columns": (JobOptions(columns="x=2,y=3,z=4"), "x=2,y=3,z=4"),
+    "unit": (JobOptions(unit="us-ft"), "us-ft"),
     "longest_m": (JobOptions(longest_m=0.31), "0.31"),
     "box": (JobOptions(box=PhotoBox(0.25, 0.125, 0.75, 1.0, "a.jpg")), "0.25,0.125,0.75,1,photo=a.jpg"),
     "edits": (JobOptions(edits=RECIPE), "recipe.json"),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
+
+from capture2vr.order.questions import flags_of
 
 
 def grade_line(grade: Mapping[str, str]) -> str:
@@ -11,7 +14,17 @@ def grade_line(grade: Mapping[str, str]) -> str:
     return f"{grade['level'].capitalize()}{why}"
 
 
-def other_warnings(grade: Mapping[str, str] | None, warnings: Sequence[str]) -> list[str]:
-    """Return an asset's warnings without the one that says the grade, which stands on a line of its own."""
+def other_warnings(
+    grade: Mapping[str, str] | None, warnings: Sequence[str], questions: Sequence[Mapping[str, Any]] = ()
+) -> list[str]:
+    """Return an asset's warnings without the one that says the grade, which stands on a line of its own.
+
+    questions: those among the warnings, as of `questions_of`; behind each stand the flags that answer it.
+    """
     because = (grade or {}).get("because")
-    return [warning for warning in warnings if not because or because not in warning]
+    flags = {question["text"]: f". If not so: {flags_of(question)}" for question in questions}
+    return [
+        f"{warning.rstrip('.')}{flags[warning]}" if warning in flags else warning
+        for warning in warnings
+        if not because or because not in warning
+    ]

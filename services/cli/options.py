@@ -9,8 +9,10 @@ import typer
 
 from capture2vr.errors import BadInput
 from capture2vr.order.edits import LEAST_M, MOST_BYTES, MOST_M, NO_EDITS, Edits, InvalidEdits
+from capture2vr.order.job_options import InvalidOption, check_columns
 from capture2vr.order.option_table import OPTION_TABLE, Cut, Fill, VisibilityName
 from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
+from capture2vr.order.reading import Unit
 
 DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 
@@ -39,6 +41,8 @@ PresetThere = Annotated[str, _job_option("preset", "the gateway's")]
 TargetOption = Annotated[str, _job_option("target")]
 CutOption = Annotated[Cut | None, _job_option("cut")]
 FillOption = Annotated[Fill | None, _job_option("fill")]
+Columns = Annotated[str, _job_option("columns")]
+UnitOption = Annotated[Unit | None, _job_option("unit")]
 Longest = Annotated[float | None, _job_option("longest_m", min=LEAST_M, max=int(MOST_M))]
 Box = Annotated[str, _job_option("box")]
 EditsFile = Annotated[Path | None, _job_option("edits")]
@@ -56,6 +60,14 @@ def parse_box(text: str) -> PhotoBox | None:
         return PhotoBox.parse(text) if text else None
     except InvalidBox as error:
         raise BadInput(f"--box: {error} ({HOW})") from None
+
+
+def parse_columns(text: str) -> str:
+    """Return the option --columns as it is. Raises BadInput for columns that there cannot be."""
+    try:
+        return check_columns(text)
+    except InvalidOption as error:
+        raise BadInput(f"--{error}") from None
 
 
 def read_edits(path: Path | None) -> Edits:

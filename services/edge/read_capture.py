@@ -14,8 +14,10 @@ import numpy as np
 from capture2vr.edge.arrays import Tick, no_tick
 from capture2vr.edge.capture import photos, pose_files
 from capture2vr.edge.capture.calibration import is_side_table
+from capture2vr.edge.capture.doubts import doubts_about
 from capture2vr.edge.capture.files import Folder, open_folder, translate_errors, unreadable
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture
+from capture2vr.edge.capture.units import in_unit
 from capture2vr.edge.clouds.cloud import cloud_format, read_cloud
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films import film
@@ -32,6 +34,7 @@ from capture2vr.edge.recordings import (
     stray,
     tum,
 )
+from capture2vr.order.reading import AS_IT_SEEMS, FileReading
 from capture2vr.sentences.sentence import say
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
@@ -77,20 +80,24 @@ _TEXTURES = re.compile("texture|material|maps", re.IGNORECASE)
 _FORMATS_HINT = say("send_photos_video_point_cloud")
 
 
-def read_capture(folder: Path, *, tick: Tick = no_tick) -> Capture:
+def read_capture(folder: Path, *, reading: FileReading = AS_IT_SEEMS, tick: Tick = no_tick) -> Capture:
     """Read and check an uploaded capture: an unpacked folder or a single file.
 
     Poses, intrinsics, counts, image headers and the first and last depth image are checked here; images load lazily.
-    `tick` is called while a video is scanned and while a LAZ is decoded. Raises CaptureError, naming the file,
-    the reason and what to do, and Cancelled when `tick` does.
+    `tick` is called while a video is scanned and while a LAZ is decoded; reading: what a person says of the files.
+    Raises CaptureError, naming the file, the reason and what to do, and Cancelled when `tick` does.
     """
     # No floating-point warnings for overflow and NaN: the values are checked after reading.
     with np.errstate(all="ignore"), translate_errors(folder.name, "capture"):
         if not folder.exists():
             raise CaptureError("CAPTURE_EMPTY", say("no_such_file_folder"), file=folder.name)
         if folder.is_dir():
-            return _read_folder(_skip_wrapper_folders(replace(open_folder(folder), tick=tick)))
-        return _read_files(Folder(folder.parent, (folder.name,), tick))
+            files = _skip_wrapper_folders(replace(open_folder(folder), tick=tick, reading=reading))
+            capture = in_unit(_read_folder(files), reading.unit)
+        else:
+            files = Folder(folder.parent, (folder.name,), tick, reading)
+            capture = in_unit(_read_files(files), reading.unit)
+        return replace(capture, warnings=(*capture.warnings, *doubts_about(capture, files.names, reading)))
 
 
 def _skip_wrapper_folders(folder: Folder) -> Folder:

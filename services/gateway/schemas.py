@@ -9,14 +9,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from capture2vr.gateway.coded_views import AllCoded, Coded, QuestionView
 from capture2vr.gateway.jobs.job import Job, Order, State
 from capture2vr.gateway.languages import for_reader
 from capture2vr.gateway.workers.worker_types import WorkerPreset
 from capture2vr.order.asset_names import DESCRIPTION_CHARS, LABEL_CHARS, MOST_LABELS, check_description, check_labels
 from capture2vr.order.edits import LEAST_M, MOST_M, NO_EDITS, Edits
-from capture2vr.order.job_options import JobOptions
+from capture2vr.order.job_options import JobOptions, check_columns
 from capture2vr.order.one_line import one_line
 from capture2vr.order.option_table import OPTION_TABLE, CutName, FillName, VisibilityName
+from capture2vr.order.questions import questions_of
+from capture2vr.order.reading import UnitName
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import TENANT_PATTERN
 
@@ -79,6 +82,8 @@ class JobRequest(BaseModel):
     labels: Labels = ()
     target: Annotated[str, _described("target", "none", max_length=100)] = ""
     cut: Annotated[CutName, _described("cut")] = ""
+    columns: Annotated[str, _described("columns"), AfterValidator(check_columns)] = ""
+    unit: Annotated[UnitName, _described("unit")] = ""
     longest_m: Annotated[float | None, _described("longest_m", strict=True, ge=LEAST_M, le=MOST_M)] = None
     collection: Annotated[
         str, _described("collection", "the one that the upload named, or that has the asset", max_length=200)
@@ -101,7 +106,8 @@ class JobRequest(BaseModel):
 
 
 class JobAgain(BaseModel):
-    """What a repeated job does differently: another capture, cut or edits. The rest is as in the earlier job.
+    """What a repeated job does differently: another capture, cut, columns, unit or edits. The rest is as in the earlier
+    job.
 
     Other edits take the place of the earlier ones; {} takes them away. Edits of one capture do not fit another: with
     another capture those of the earlier job are left out.
@@ -114,11 +120,13 @@ class JobAgain(BaseModel):
         Field(max_length=100, description="Another capture, such as one that `continues` the earlier job's."),
     ] = None
     cut: Annotated[CutName | None, _described("cut")] = None
+    columns: Annotated[Annotated[str, AfterValidator(check_columns)] | None, _described("columns")] = None
+    unit: Annotated[UnitName | None, _described("unit")] = None
     edits: Annotated[Edits | None, _described("edits")] = None
 
     @model_validator(mode="after")
     def _require_change(self) -> JobAgain:
-        if self.capture is None and self.cut is None and self.edits is None:
+        if not self.model_dump(exclude_none=True):
             raise ValueError(say("say_what_to_be_different"))
         return self
 
@@ -131,24 +139,11 @@ class JobAgain(BaseModel):
             options = replace(options, box=named, edits=NO_EDITS)
         if self.edits is not None:
             options = replace(options, edits=self.edits).following_recipe()
+        if self.columns is not None:
+            options = replace(options, columns=self.columns)
+        if self.unit is not None:
+            options = replace(options, unit=self.unit)
         return replace(earlier, options=options.choosing(cut=options.cut if self.cut is None else self.cut))
-
-
-class SentenceCode(BaseModel):
-    """What a sentence beside it is made from, whatever its language: its code, and its values by name."""
-
-    code: str
-    values: dict[str, Any]
-
-
-def _is_absent(codes: object) -> bool:
-    return not codes
-
-
-Coded = Annotated[SentenceCode | None, Field(exclude_if=_is_absent)]
-"""The member beside a sentence; it is left out where the sentence has no code."""
-AllCoded = Annotated[list[SentenceCode | None], Field(exclude_if=_is_absent)]
-"""The member beside a list of texts: null for each without a code."""
 
 
 class ProblemView(BaseModel):
@@ -250,6 +245,7 @@ class JobView(BaseModel):
     error: ProblemView | None
     warnings: list[str]
     warnings_i18n: AllCoded = []
+    questions: list[QuestionView]
     seconds: dict[str, float]
     links: Links
 
@@ -276,7 +272,7 @@ class JobView(BaseModel):
             preview=_published(job.preview),
             asset=_published(job.asset),
             error=ProblemView.model_validate(for_reader(job.error)) if job.error else None,
-            **for_reader({"warnings": list(job.warnings)}),
+            **for_reader({"warnings": list(job.warnings), "questions": questions_of(job.warnings)}),
             seconds=dict(job.seconds),
             links=_links(job),
         )

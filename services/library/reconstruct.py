@@ -15,7 +15,7 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.progress import Progress, ignore_progress
 from capture2vr.library.pipeline_call import run_pipeline
 from capture2vr.library.reconstruction import Reconstruction, reconstruction_of
-from capture2vr.library.source import Source, opened
+from capture2vr.library.source import Source, opened, reading_of
 from capture2vr.order.job_fields import ReconstructionFields
 
 OnProgress = Callable[[Progress], None]
@@ -97,7 +97,8 @@ def reconstruct(
     >>> len(made.levels), made.levels[0][:4], made.refined is None
     (3, b'glTF', True)
     """
-    with opened(source, rgb) as capture:
+    reading = reading_of(options.get("columns", ""), options.get("unit", ""))
+    with opened(source, rgb, reading) as capture:
         made = run_pipeline(capture, preset, options, resolution=resolution, device=device, watch=progress)
     return reconstruction_of(made)
 

@@ -12,6 +12,7 @@ from capture2vr.order.edits import NO_EDITS, Edits, InvalidEdits
 from capture2vr.order.job_options import InvalidOption, JobOptions
 from capture2vr.order.option_table import CutName, FillName, VisibilityName
 from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
+from capture2vr.order.reading import UnitName
 
 
 class ReconstructionFields(TypedDict, total=False):
@@ -20,6 +21,8 @@ class ReconstructionFields(TypedDict, total=False):
     target     device class whose budget the levels of detail must meet: "quest3", "quest2", "web", "archive"
     cut        what to keep: "object", "scene", or "auto", the object if the photos were taken around one
     fill       holes of the mesh to fill: "none", "unseen", "all"; left out: "unseen" for photos, "none" for clouds
+    columns    of a table of points, by their numbers from 1, such as "x=2,y=3,z=4"
+    unit       of the coordinates in a file: "m", "cm", "mm", "in", "ft", "us-ft", "deg"
     longest_m  metres between the farthest points of the object, where it was measured
     box        left, top, right, bottom of the object in a photo, as shares of its width and height, and behind them
                the photo's name; without one, the first photo
@@ -29,6 +32,8 @@ class ReconstructionFields(TypedDict, total=False):
     target: str
     cut: CutName
     fill: FillName
+    columns: str
+    unit: UnitName
     longest_m: float
     box: Sequence[float | str]
     edits: Mapping[str, Any]

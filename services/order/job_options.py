@@ -14,6 +14,7 @@ from capture2vr.order.asset_names import UNNAMED, AssetNames
 from capture2vr.order.edits import LEAST_M, MOST_M, NO_EDITS, Edits
 from capture2vr.order.option_table import OPTION_TABLE, CutName, FillName, VisibilityName
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.order.reading import HOW, FileReading, InvalidColumns, TableColumns, UnitName
 
 _IN_RECIPES = ("cut", "fill", "preset", "target")
 
@@ -37,6 +38,8 @@ class JobOptions:
     target      device class whose budget the levels of detail must meet; "": none
     cut         what of the capture is kept; "": auto
     fill        which holes of the mesh are filled; "": "unseen" for photos and depth images, "none" for clouds
+    columns     of a table of points, such as "x=2,y=3,z=4"; "": as the table tells
+    unit        of the coordinates in a file; "": what the file says, else a plausible one
     longest_m   metres between the two points of the object that are farthest apart; None: unknown
     box         rectangle of a photo that the object lies in; None: what stands out, or is near the middle
     edits       recipe of what to cut away, what is up and the scale
@@ -50,6 +53,8 @@ class JobOptions:
     target: str = ""
     cut: CutName = ""
     fill: FillName = ""
+    columns: str = ""
+    unit: UnitName = ""
     longest_m: float | None = None
     box: PhotoBox | None = None
     edits: Edits = NO_EDITS
@@ -73,6 +78,8 @@ class JobOptions:
             target=document.get("target", ""),
             cut=document.get("cut", ""),
             fill=document.get("fill", ""),
+            columns=document.get("columns", ""),
+            unit=document.get("unit", ""),
             longest_m=document.get("longest_m"),
             box=PhotoBox.unchecked(box) if box else None,
             edits=edits if isinstance(edits, Edits) else Edits.of(edits),
@@ -90,6 +97,8 @@ class JobOptions:
             "label": self.names.label,
             "target": self.target,
             "cut": self.cut,
+            "columns": self.columns,
+            "unit": self.unit,
             "longest_m": self.longest_m,
             "collection": self.collection,
             "fill": self.fill,
@@ -102,6 +111,11 @@ class JobOptions:
         }
 
     @property
+    def reading(self) -> FileReading:
+        """What they say of how a file is read."""
+        return FileReading(self.columns, self.unit)
+
+    @property
     def given(self) -> dict[str, Any]:
         """The part of `as_json` that differs from the defaults: what a request to the API says."""
         return {name: value for name, value in self.as_json.items() if value != _DEFAULT_JSON[name]}
@@ -111,6 +125,7 @@ class JobOptions:
         for field, row in OPTION_TABLE.items():
             if row.choices:
                 check_choice(field, getattr(self, field))
+        check_columns(self.columns)
         if self.longest_m is not None and not LEAST_M <= self.longest_m <= MOST_M:  # true for NaN too
             raise InvalidOption("LENGTH_INVALID", f"longest_m must be {LEAST_M} to {MOST_M} metres")
         try:
@@ -134,7 +149,7 @@ class JobOptions:
 
     def without_points(self) -> JobOptions:
         """Return the options that are left to do once the points are made: the others are in the points."""
-        return replace(self, cut="", longest_m=None, box=None, edits=NO_EDITS)
+        return replace(self, cut="", columns="", unit="", longest_m=None, box=None, edits=NO_EDITS)
 
 
 DEFAULT_OPTIONS = JobOptions()
@@ -149,3 +164,13 @@ def check_choice(field: str, name: str) -> Any:
         what = f"there is no {field} {name}; use one of {', '.join(choices)}"
         raise InvalidOption(f"{field.upper()}_UNKNOWN", what)
     return name
+
+
+def check_columns(text: str) -> str:
+    """Return a table's columns unchanged. Raises InvalidOption for those that there cannot be."""
+    try:
+        if text:
+            TableColumns.parse(text)
+    except InvalidColumns as error:
+        raise InvalidOption("COLUMNS_INVALID", f"columns: {error}; {HOW}") from None
+    return text

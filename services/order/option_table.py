@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from capture2vr.order.reading import Unit
+
 Cut = Literal["auto", "object", "scene"]
 """What of a capture is kept. auto: the object where photos were taken around one, else the scene; object: without what
 it stands on and what stands around it; scene: everything that was seen."""
@@ -62,6 +64,18 @@ OPTION_TABLE = {
         "open ends and sides that no photo shows.",
         "unseen for photos and depth images, none for point clouds",
         get_args(Fill),
+    ),
+    "columns": OptionRow(
+        "--columns",
+        "Columns of a table of points, by their numbers from 1, such as x=2,y=3,z=4; also r, g, b for colours, nx, ny, "
+        "nz for normals and i for an intensity.",
+        "as the table's header and numbers tell",
+    ),
+    "unit": OptionRow(
+        "--unit",
+        "Unit of the coordinates in a file of points or a mesh. deg: longitude, latitude and heights in metres.",
+        "what the file says, else metres if the object then has a plausible size",
+        get_args(Unit),
     ),
     "longest_m": OptionRow("--longest", "Metres between the farthest points of the object, if you measured it."),
     "box": OptionRow(

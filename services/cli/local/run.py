@@ -148,7 +148,7 @@ def _reconstruct_into(
             tick(progress.fraction)
 
         bar.show("VALIDATING", 0.0)
-        capture = read_capture(folder)
+        capture = read_capture(folder, reading=job.reading)
         resources = replace(resources, device=_choose_device(preset, capture, resources.device), encode=encode)
         steps = reconstruct(capture, preset, job, resources, watch=show)
         for step in steps:

@@ -88,7 +88,7 @@ def _outcome(job: dict[str, Any], gateway: str) -> dict[str, Any]:
     grade = asset.get("grade")
     if grade:
         console.print(grade_line(grade))
-    for warning in other_warnings(grade, job.get("warnings") or []):
+    for warning in other_warnings(grade, job.get("warnings") or [], job.get("questions") or []):
         warn(warning)
     if asset.get("held"):
         console.print(f"done in {job['elapsed_s']:.1f} s, and held back: no list has it; {gateway}/#job={job['id']}")

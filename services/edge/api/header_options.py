@@ -7,7 +7,7 @@ from typing import Any
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.edits import NO_EDITS, SEE, Edits, InvalidEdits
-from capture2vr.order.job_options import InvalidOption, JobOptions, check_choice
+from capture2vr.order.job_options import InvalidOption, JobOptions, check_choice, check_columns
 from capture2vr.order.photo_box import HOW, InvalidBox, PhotoBox
 
 
@@ -19,6 +19,8 @@ def header_fields(options: JobOptions) -> dict[str, Any]:
         "label": options.names.label,
         "description": options.names.description,
         "labels": options.names.labels,
+        "columns": options.columns,
+        "unit": options.unit,
         "longest_m": options.longest_m or 0.0,
         "collection": options.collection,
         "fill": options.fill,
@@ -37,6 +39,8 @@ def options_of(header: pb.Header) -> JobOptions:
         target=header.target,
         cut=check_choice("cut", header.cut),
         fill=check_choice("fill", header.fill),
+        columns=check_columns(header.columns),
+        unit=check_choice("unit", header.unit),
         longest_m=header.longest_m or None,
         box=box_of(header),
         edits=_edits_of(header),

@@ -21,6 +21,7 @@ import numpy as np
 from capture2vr.edge.arrays import Floats, Tick, no_tick
 from capture2vr.edge.capture.text_encoding import decode_text
 from capture2vr.edge.errors import Cancelled, CaptureError
+from capture2vr.order.reading import AS_IT_SEEMS, FileReading
 from capture2vr.sentences.sentence import say
 
 MAX_FILES = 20_000  # a minute of LiDAR at 60 frames/s with three files each is 10,800
@@ -63,12 +64,13 @@ def number_order(name: str) -> tuple[tuple[int, str], ...]:
 class Folder:
     """A capture's folder. `names` are the relative paths of its files, with forward slashes, in natural order.
 
-    tick is called during reads that take seconds, and may raise Cancelled.
+    tick is called during reads that take seconds, and may raise Cancelled; reading: what a person says of the files.
     """
 
     root: Path
     names: tuple[str, ...]
     tick: Tick = field(default=no_tick, repr=False, compare=False)
+    reading: FileReading = AS_IT_SEEMS
     _known: frozenset[str] = field(init=False, repr=False, compare=False)
     _by_end: dict[tuple[str, str], str] = field(init=False, repr=False, compare=False)
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
-from capture2vr.edge.capture.files import Folder, translate_errors
+from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
 from capture2vr.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
+from capture2vr.edge.capture.units import are_degrees, project_degrees
 from capture2vr.edge.clouds.cloud_parts import (
     MAX_BAD_SHARE,
     MAX_COORDINATE,
@@ -22,7 +23,7 @@ from capture2vr.edge.clouds.cloud_parts import (
 )
 from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_warning
 from capture2vr.edge.clouds.cloud_shape import check_shape
-from capture2vr.edge.clouds.las_units import las_units
+from capture2vr.edge.clouds.las_units import las_metres
 from capture2vr.edge.clouds.meshes import is_binary_stl, read_mesh
 from capture2vr.edge.clouds.obj import read_obj
 from capture2vr.edge.clouds.pcd import read_pcd
@@ -33,6 +34,7 @@ from capture2vr.edge.clouds.surface_colours import face_colours, vertex_colours
 from capture2vr.edge.clouds.table_text import decode_head
 from capture2vr.edge.clouds.tables import MAX_POINTS, looks_numeric, npy_parts, read_npy, read_table, too_many_points
 from capture2vr.edge.errors import CaptureError
+from capture2vr.order.reading import FileReading, TableColumns
 from capture2vr.sentences.sentence import say
 
 MAX_PARTED_BYTES = 2**33  # of a file that is read in parts
@@ -117,27 +119,36 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
 
     Of a cloud of more than LARGE points some are read now, and all of them in parts when they are asked for.
     """
-    path, metres = folder.path(name), _las_metres(folder.path(name), name) if kind == "las" else None
+    path, reading = folder.path(name), folder.reading
+    if reading.columns and kind != "xyz":
+        raise unreadable(name, say("columns_are_of_tables"), say("leave_columns_out"))
     if (parts := _parts(folder, name, kind)) is not None:
         some, whole, warnings = read_some(parts, name, folder.tick)
-        read = _capture(kind, name, some, warnings, whole)
+        read, metres = _capture(kind, name, some, warnings, whole), None
     elif kind == "xyz":
         _check_size(path, name, kind)
-        cloud, warnings, metres = read_table(path, name)
-        read = capture_of_cloud(cloud, name, kind, warnings)
+        read, metres = _read_rows(path, name, reading)
     else:
         cloud, warnings = _read(folder, name, kind)
-        read = capture_of_cloud(cloud, name, kind, warnings)
+        read, metres = capture_of_cloud(_projected(cloud, reading.unit), name, kind, warnings), None
+    if kind == "las" and not reading.unit:
+        metres = las_metres(path, name)
     return read if metres is None else replace(read, metres_per_unit=metres, scale_confidence="metric")
 
 
-def _las_metres(path: Path, name: str) -> float | None:
-    """Return the metres of one unit across that a LAS names, None where it names none. Raises for degrees."""
-    units = las_units(path)
-    if units is not None and units.degrees:
-        hint = say("project_degrees_to_metres")
-        raise CaptureError("CAPTURE_UNREADABLE", say("has_coordinates_in_degrees"), file=name, hints=(hint,))
-    return None if units is None else units.across
+def _read_rows(path: Path, name: str, reading: FileReading) -> tuple[Capture, float | None]:
+    """Read a table of numbers; also return the metres of its unit, None where it is not known."""
+    told = TableColumns.parse(reading.columns) if reading.columns else None
+    cloud, warnings, metres = read_table(path, name, told)
+    if not reading.unit and metres is None and are_degrees(cloud.xyz):
+        cloud, metres = _projected(cloud, "deg"), 1.0
+        warnings = (*warnings, say("doubt_degrees"))
+    return capture_of_cloud(_projected(cloud, reading.unit), name, "xyz", warnings), metres
+
+
+def _projected(cloud: Cloud, unit: str) -> Cloud:
+    """Return a cloud with degrees projected to metres, where a person said that they are degrees."""
+    return replace(cloud, xyz=project_degrees(cloud.xyz)) if unit == "deg" else cloud
 
 
 def capture_of_cloud(cloud: Cloud, name: str, kind: str, warnings: tuple[str, ...] = ()) -> Capture:

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from capture2vr.edge.errors import CaptureError
+from capture2vr.sentences.sentence import say
+
 _USER = b"LASF_Projection"
 _WKT, _KEYS = 2112, 34735
 _MODEL, _LENGTH, _HEIGHT = 1024, 3076, 4099  # GTModelType, ProjLinearUnits, VerticalUnits
@@ -100,3 +103,12 @@ def _units_of_keys(content: bytes) -> LasUnits | None:
     if keys.get(_MODEL) == _GEOGRAPHIC:
         return LasUnits(1.0, 1.0, degrees=True)
     return None if across is None else LasUnits(across, _METRES.get(keys.get(_HEIGHT, 0), across))
+
+
+def las_metres(path: Path, name: str) -> float | None:
+    """Return the metres of one unit across that a LAS names, None where it names none. Raises for degrees."""
+    units = las_units(path)
+    if units is not None and units.degrees:
+        hint = say("project_degrees_to_metres")
+        raise CaptureError("CAPTURE_UNREADABLE", say("has_coordinates_in_degrees"), file=name, hints=(hint,))
+    return None if units is None else units.across

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.clouds.column_names import meanings, metres_of
 from capture2vr.edge.clouds.table_dialect import Dialect, is_remark
+from capture2vr.order.reading import TableColumns
 
 _POINT = ("x", "y", "z")
 _COLOURS = (("red", "green", "blue"), ("rf", "gf", "bf"))
@@ -25,28 +25,7 @@ _SECONDS = 1e8
 """A column that only rises, from such a number, has times: seconds since 1970, or of the satellites' clock."""
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Where a table has what: numbers of its columns, from 0.
-
-    xyz, rgb, normals  three columns each; () where there are none
-    intensity          None where there is none
-    metres             length of the unit that the header names; None where it names none
-    """
-
-    xyz: tuple[int, ...]
-    rgb: tuple[int, ...] = ()
-    normals: tuple[int, ...] = ()
-    intensity: int | None = None
-    metres: float | None = None
-
-    @property
-    def used(self) -> tuple[int, ...]:
-        """All of them, in the order xyz, rgb, normals, intensity."""
-        return (*self.xyz, *self.rgb, *self.normals, *(() if self.intensity is None else (self.intensity,)))
-
-
-def named_by(header: Sequence[str], dialect: Dialect, width: int) -> tuple[Columns | None, list[str]]:
+def named_by(header: Sequence[str], dialect: Dialect, width: int) -> tuple[TableColumns | None, list[str]]:
     """Return the columns that one of the lines above the rows names, the last one first, and the names that it has.
 
     A line that names no x, y and z names no columns. A remark does where it has as many names as there are columns: a
@@ -72,14 +51,14 @@ def _readings(line: str, dialect: Dialect, width: int) -> Iterator[tuple[list[st
             yield names, int(len(names) == width - 1)
 
 
-def _of_names(names: Sequence[str], found: Sequence[str], shift: int) -> Columns:
+def _of_names(names: Sequence[str], found: Sequence[str], shift: int) -> TableColumns:
     at = {meaning: number + shift for number, meaning in reversed(list(enumerate(found)))}
 
     def triple(wanted: Sequence[str]) -> tuple[int, ...]:
         return tuple(at[each] for each in wanted) if all(each in at for each in wanted) else ()
 
     units = {metres_of(names[at[axis] - shift]) for axis in _POINT}
-    return Columns(
+    return TableColumns(
         triple(_POINT),
         triple(_COLOURS[0]) or triple(_COLOURS[1]),
         triple(_NORMALS),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,13 @@ from capture2vr.edge.capture.text_encoding import encoding_of
 from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.column_names import meanings
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
-from capture2vr.edge.clouds.table_columns import Columns, named_by, without_names
+from capture2vr.edge.clouds.table_columns import named_by, without_names
 from capture2vr.edge.clouds.table_dialect import Dialect, dialect_of, is_content, width_of
 from capture2vr.edge.clouds.table_rows import RowReader
 from capture2vr.edge.clouds.table_text import pieces
 from capture2vr.edge.clouds.unnamed_columns import MOST_COLUMNS, column_layout
 from capture2vr.edge.errors import CaptureError
+from capture2vr.order.reading import TableColumns
 from capture2vr.sentences.sentence import say
 
 MAX_PARTED_POINTS = 200_000_000  # of files that are read in parts: 8 bytes each while a scene is sorted into tiles
@@ -101,15 +102,17 @@ def looks_numeric(text: str) -> bool:
     return sum(map(dialect.is_row, rows)) >= (_ENOUGH_NAMED if named else _ENOUGH_ROWS) * len(rows)
 
 
-def read_table(path: Path, file: str) -> tuple[Cloud, tuple[str, ...], float | None]:
+def read_table(path: Path, file: str, told: TableColumns | None = None) -> tuple[Cloud, tuple[str, ...], float | None]:
     """Read a point cloud from rows of numbers: the cloud, warnings, and the metres of the unit that its header names.
 
     The encoding, the separator and the decimal mark are told by the rows. A header line names the columns, also where
     it is a remark. Without one the first three columns of numbers are x, y and z, but for leading ones that count; what
     the others are is told by `column_layout`.
+
+    told: the columns, where a person told them
     """
     with translate_errors(file, "table of numbers"):
-        layout = _layout_of(path, file)
+        layout = _layout_of(path, file, told)
         reader = RowReader(layout.dialect, layout.used)
         table = _read_rows(reader, path, layout, file)
     columns = layout.columns
@@ -132,12 +135,12 @@ class _Layout:
     mark: int
     dialect: Dialect
     first: int
-    columns: Columns | None
+    columns: TableColumns | None
     used: tuple[int, ...]
     counted: bool
 
 
-def _layout_of(path: Path, file: str) -> _Layout:
+def _layout_of(path: Path, file: str, told: TableColumns | None) -> _Layout:
     """Tell how a table is written by its first lines. Raises CaptureError where that is no table of points."""
     encoding, mark = encoding_of(_head(path))
     lines = _first_lines(path, encoding, mark, file)
@@ -146,13 +149,23 @@ def _layout_of(path: Path, file: str) -> _Layout:
         raise _no_rows(lines, file)
     first = _first_row(lines, dialect)
     header, below = lines[:first], [line for line in lines[first:] if dialect.is_row(line)]
-    columns, names = named_by(header, dialect, width_of(dialect, below))
+    width = width_of(dialect, below)
+    columns, names = named_by(header, dialect, width)
+    if told is not None:
+        columns = replace(_there(told, width, file), metres=columns.metres if columns else None)
     if columns is None and names:
         raise _no_coordinates(names, file)
     used = columns.used if columns else without_names([dialect.fields(line) for line in below], dialect)[:MOST_COLUMNS]
     if len(used) < 3:
         raise unreadable(file, say("has_columns_points_need_least", count=len(used)))
     return _Layout(encoding, mark, dialect, first, columns, used, any(line.strip().isdigit() for line in header))
+
+
+def _there(told: TableColumns, width: int, file: str) -> TableColumns:
+    """Return the columns that a person told. Raises CAPTURE_UNREADABLE where a table is not as wide."""
+    if (last := 1 + max(told.used)) > width:
+        raise unreadable(file, say("has_only_columns", count=width, named=last), say("number_columns_from_one"))
+    return told
 
 
 def _no_coordinates(names: Sequence[str], file: str) -> CaptureError:
@@ -209,8 +222,8 @@ def _read_rows(reader: RowReader, path: Path, layout: _Layout, file: str) -> Flo
     return np.concatenate(tables)
 
 
-def _of_columns(table: Floats, columns: Columns) -> Cloud:
-    """Make a cloud of a table that has the columns in the order of `Columns.used`."""
+def _of_columns(table: Floats, columns: TableColumns) -> Cloud:
+    """Make a cloud of a table that has the columns in the order of `TableColumns.used`."""
     at = 3 + len(columns.rgb)
     intensity = None if columns.intensity is None else table[:, -1]
     rgb, notes = read_colours(table[:, 3:at] if columns.rgb else None, intensity)

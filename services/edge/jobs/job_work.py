@@ -111,7 +111,9 @@ class _Job:
             return read_prepared(task.archive, task.scratch / "prepared"), time.perf_counter() - began
         folder = unpack_capture(task.archive, task.scratch)
         with limited_reading(folder):
-            capture = read_capture(folder, tick=lambda fraction: self._send_progress(reading))
+            capture = read_capture(
+                folder, reading=task.options.reading, tick=lambda fraction: self._send_progress(reading)
+            )
         seconds = time.perf_counter() - began
         steps = prepare(capture, self._bar, task.options, refines=task.trains, device=task.machine.device)
         prepared = self._run_to_end(steps)

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.access.usage import Allowance
+from capture2vr.gateway.coded_views import AllCoded, Coded, QuestionView
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.jobs.capture_objects import (
@@ -30,9 +31,10 @@ from capture2vr.gateway.languages import for_reader
 from capture2vr.gateway.photo_boxes import BoxQuery, parse_box
 from capture2vr.gateway.routes.access_rules import caller_of, limits_of, needs
 from capture2vr.gateway.routes.store_access import in_thread, store_of
-from capture2vr.gateway.schemas import AllCoded, Coded, problems
+from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.uploads.accept import Uploader
 from capture2vr.gateway.uploads.receive import body_of
+from capture2vr.order.questions import questions_of
 from capture2vr.sentences.documents import with_sentences
 from capture2vr.sentences.sentence import say
 
@@ -89,6 +91,7 @@ class CaptureView(BaseModel):
                 "frames": 5,
                 "points": 0,
                 "warnings": [],
+                "questions": [],
                 "files": [
                     {"file": "a.jpg", "bytes": 123, "sha256": "…", "verdict": "ok", "stripped": ["GPSInfo"]},
                 ],
@@ -110,12 +113,14 @@ class CaptureView(BaseModel):
     points: int
     warnings: list[str]
     warnings_i18n: AllCoded = []
+    questions: list[QuestionView]
     files: list[FileVerdict]
 
     @classmethod
     def of(cls, receipt: dict[str, Any]) -> CaptureView:
         """Convert a receipt, as it was made or as it is stored."""
-        return cls.model_validate(for_reader(with_sentences(receipt)))
+        known = with_sentences(receipt)
+        return cls.model_validate(for_reader({**known, "questions": questions_of(known["warnings"])}))
 
 
 class CaptureSummary(BaseModel):

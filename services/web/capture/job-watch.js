@@ -2,6 +2,7 @@
 import { showJobProgress, showProgressNote, startJobProgress } from '../shared/job-progress.js';
 import { showState, showTrouble } from './page-state.js';
 import { FINAL, hideAnchors, showAnchors, showResult } from './result.js';
+import { showQuestions } from './run-again.js';
 import { followJob, getJson, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { otherWarnings } from '../shared/grade.js';
@@ -80,9 +81,15 @@ function cancelled({ preview }) {
 }
 
 /** @param {Job} job */
-function showSuccess({ asset, warnings }) {
+function showSuccess(job) {
+  const { asset, questions, warnings } = job;
+  const asked = questions.map(({ text }) => text);
   page.work.hidden = true;
-  fillList(page.warnings, otherWarnings(warnings, asset?.grade));
+  fillList(
+    page.warnings,
+    otherWarnings(warnings, asset?.grade).filter((each) => !asked.includes(each)),
+  );
+  showQuestions(job);
   document.body.dataset.state = 'done';
 }
 

@@ -1,8 +1,8 @@
 // The result of a job: the preview that turns, the address of the viewer, which photos were used, and the quality figures.
 import { durationText } from '../shared/job-progress.js';
 import { offerMorePhotos } from './continuing.js';
-import { showCut } from './other-cut.js';
 import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
+import { showCut } from './run-again.js';
 import { getJson, getSession, getVersion, restoreVersion } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';

@@ -475,6 +475,13 @@ export interface PublishedVersion {
   held?: boolean;
 }
 
+/** A question that a capture leaves open: one of a job's warnings, with answers. An option "" is for a person to fill in. */
+export interface Question {
+  code: string;
+  text: string;
+  answers: { text: string; options: Record<string, string> }[];
+}
+
 /** A job: GET /v1/jobs/{id}. */
 export interface Job extends JobProgress {
   id: string;
@@ -484,6 +491,7 @@ export interface Job extends JobProgress {
   asset: PublishedVersion | null;
   error: ProblemDocument | null;
   warnings: string[];
+  questions: Question[];
   capture: string;
   label: string;
   edits?: Edits;

@@ -272,7 +272,7 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 NUMBERS = {
     "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill box cut "
-    "tenant token visibility capture description labels edits publish_anyway most_seconds",
+    "tenant token visibility capture description labels edits publish_anyway most_seconds columns unit",
     "AttachRequest": "job after_seq token",
     "CancelRequest": "job token",
     "Box": "left top right bottom photo",

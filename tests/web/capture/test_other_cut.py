@@ -1,4 +1,4 @@
-"""A thing that was cut too closely: the page says so, and one tap runs the stored capture again with the other cut."""
+"""What a capture left open: one tap runs the stored capture again, with the other cut or with the answer."""
 
 from __future__ import annotations
 
@@ -64,3 +64,47 @@ def test_one_tap_gives_the_other_cut_without_an_upload(page: Page, stack: Stack,
     expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))
     assert len(uploads) == 1, "the capture is stored, and is not sent twice"
     assert size_m(stack, "two-balls") > 0.9
+
+
+def send(page: Page, stack: Stack, file: Path) -> None:
+    page.goto(stack.url)
+    with page.expect_file_chooser() as chooser:
+        page.get_by_text("Choose files").click()
+    chooser.value.set_files(file)
+    page.locator("#preset").select_option("quick")
+    page.get_by_role("button", name="Send").click()
+    await_data(page, state="done")
+
+
+def test_a_question_is_answered_by_a_button(page: Page, stack: Stack, tmp_path: Path) -> None:
+    """A table in millimetres that names no unit was scaled to a metre."""
+    ball = np.random.default_rng(0).normal(size=(4_000, 3))
+    ball *= 15_000 / np.linalg.norm(ball, axis=1, keepdims=True)
+    np.savetxt(tmp_path / "tank.xyz", ball, fmt="%.1f")
+    send(page, stack, tmp_path / "tank.xyz")
+    question = page.locator("#questions")
+    expect(question).to_contain_text("in an unknown unit")
+    expect(page.locator("#warnings")).not_to_contain_text("in an unknown unit")
+    first = page.url
+    question.get_by_role("button", name="They are millimetres").click()
+    page.wait_for_url(lambda url: "#job=" in url and url != first)
+    await_data(page, state="done")
+    assert size_m(stack, "tank") == pytest.approx(30, rel=0.05)
+    expect(question).to_be_hidden()
+
+
+def test_columns_are_picked_by_their_numbers(page: Page, stack: Stack, tmp_path: Path) -> None:
+    ball = np.random.default_rng(0).normal(size=(4_000, 3))
+    ball *= 0.1 / np.linalg.norm(ball, axis=1, keepdims=True)
+    np.savetxt(tmp_path / "counted.xyz", np.c_[np.linspace(0.013, 1.9, 4_000), ball], fmt="%.9f")
+    send(page, stack, tmp_path / "counted.xyz")
+    question, first = page.locator("#questions"), page.url
+    expect(question).to_contain_text("counts the points")
+    page.get_by_label("Column of z").fill("")
+    question.get_by_role("button", name="These columns").click()
+    assert page.url == first, "a field without a number is not sent"
+    page.get_by_label("Column of z").fill("4")
+    question.get_by_role("button", name="These columns").click()
+    page.wait_for_url(lambda url: "#job=" in url and url != first)
+    await_data(page, state="done")
+    assert size_m(stack, "counted") == pytest.approx(0.2, abs=0.01)
