@@ -16,7 +16,6 @@ from capture2vr.edge.capture import photos, pose_files
 from capture2vr.edge.capture.calibration import is_side_table
 from capture2vr.edge.capture.files import Folder, open_folder, translate_errors, unreadable
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture
-from capture2vr.edge.clouds.cloud import cloud_format, read_cloud
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films import film
 from capture2vr.edge.recordings import (
@@ -32,6 +31,7 @@ from capture2vr.edge.recordings import (
     stray,
     tum,
 )
+from capture2vr.edge.recordings.scan_files import file_format, read_file
 from capture2vr.sentences.sentence import say
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
@@ -57,6 +57,9 @@ _CLOUD_SUFFIXES = (
     ".las",
     ".laz",
     ".e57",
+    ".ptx",
+    ".splat",
+    ".spz",
     ".obj",
     ".off",
     ".stl",
@@ -124,7 +127,7 @@ def _read_files(folder: Folder) -> Capture:
         return _read_pictures(folder)
     candidates.sort(key=lambda found: -folder.path(found[0]).stat().st_size)
     (name, kind), others = candidates[0], [other for other, _ in candidates[1:]]
-    capture = read_cloud(folder, name, kind)
+    capture = read_file(folder, name, kind)
     unused = _unused_photos(folder, name)
     warnings = list(capture.warnings)
     if others:
@@ -195,7 +198,7 @@ def _candidate(folder: Folder, name: str) -> str | None:
     """Return the point cloud or mesh format of a file, or None when it is neither."""
     if name.rsplit("/", 1)[-1].lower() in _SIDE_TABLES:
         return None
-    kind = cloud_format(folder, name)
+    kind = file_format(folder, name)
     return None if kind == "xyz" and len(folder.names) > 1 and is_side_table(folder, name) else kind
 
 
