@@ -20,6 +20,7 @@ from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films import film
 from capture2vr.edge.recordings import (
     arkitscenes,
+    blender,
     colmap,
     depth16,
     kitti,
@@ -40,6 +41,7 @@ _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ..
     (polycam.matches, polycam.read),
     (scanner3d.matches, scanner3d.read),
     (nerfstudio.matches, nerfstudio.read),
+    (blender.matches, blender.read),
     (colmap.matches, colmap.read),
     (depth16.matches, depth16.read),
     (pose_files.matches, pose_files.read),
