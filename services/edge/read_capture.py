@@ -15,6 +15,7 @@ from capture2vr.edge.arrays import Tick, no_tick
 from capture2vr.edge.capture import photos, pose_files
 from capture2vr.edge.capture.calibration import is_side_table
 from capture2vr.edge.capture.files import Folder, open_folder, translate_errors, unreadable
+from capture2vr.edge.capture.frame_records import first_names
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films import film
@@ -68,6 +69,7 @@ _CLOUD_SUFFIXES = (
     ".glb",
     ".gltf",
 )
+_MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb", ".gltf")
 # Of models that are not read, whose folders and archives have textures: these are no photos of the thing.
 _UNREAD_MODELS = (".usd", ".usda", ".usdc", ".usdz", ".fbx", ".dae", ".3mf", ".3ds", ".blend", ".skp", ".step", ".stp")
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
@@ -115,8 +117,18 @@ def _read_folder(folder: Folder) -> Capture:
         raise CaptureError("CAPTURE_EMPTY", say("capture_has_no_files"), hints=(_FORMATS_HINT,))
     for matches, read in _FORMATS:
         if matches(folder):
-            return read(folder)
+            capture = read(folder)
+            return replace(capture, warnings=(*capture.warnings, *_meshes_beside(folder, capture)))
     return _read_files(folder)
+
+
+def _meshes_beside(folder: Folder, capture: Capture) -> tuple[str, ...]:
+    """Return a warning about the meshes beside the pictures of a recording, by their names alone, if any."""
+    meshes = [name for name in folder.names if name.lower().endswith(_MESH_SUFFIXES)]
+    if not meshes:
+        return ()
+    what = say("word_depth_images") if capture.kind == "rgbd" else say("word_photos")
+    return (say("meshes_beside_not_used", what=what, names=first_names(meshes)),)
 
 
 def _read_files(folder: Folder) -> Capture:
@@ -134,6 +146,7 @@ def _read_files(folder: Folder) -> Capture:
     warnings = list(capture.warnings)
     if others:
         warnings.append(say("only_used_other_point_clouds", name=name, count=len(others), names=", ".join(others[:3])))
+    warnings += [say("video_beside_not_used", name=name, video=video) for video in film.find_videos(folder)[:1]]
     if unused:
         warnings.append(say("photos_beside_not_used", name=name, count=len(unused), first=unused[0]))
     return replace(capture, warnings=tuple(warnings))
