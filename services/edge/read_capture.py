@@ -28,6 +28,7 @@ from capture2vr.edge.recordings import (
     nerfstudio,
     polycam,
     record3d,
+    record3d_exr,
     replica,
     scanner3d,
     stray,
@@ -38,6 +39,7 @@ from capture2vr.sentences.sentence import say
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
     (record3d.matches, record3d.read),
+    (record3d_exr.matches, record3d_exr.read),
     (stray.matches, stray.read),
     (polycam.matches, polycam.read),
     (scanner3d.matches, scanner3d.read),
