@@ -30,6 +30,7 @@ from capture2vr.edge.recordings import (
     record3d,
     record3d_exr,
     replica,
+    rtabmap,
     scanner3d,
     stray,
     tum,
@@ -51,6 +52,7 @@ _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ..
     (arkitscenes.matches, arkitscenes.read),
     (replica.matches, replica.read),
     (kitti.matches, kitti.read),
+    (rtabmap.matches, rtabmap.read),
     (tum.matches, tum.read),  # last: it accepts any capture with a folder called "depth"
 )
 _CLOUD_SUFFIXES = (
