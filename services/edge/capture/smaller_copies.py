@@ -21,7 +21,9 @@ from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
 _SIDE = 32  # pixels of the pictures that are compared
-_ALIKE = 8.0  # mean difference of their greys, of 255; a copy as a small JPEG is off by 2, the next photo by 20 and more
+_ALIKE = (
+    8.0  # mean difference of their greys, of 255; a copy as a small JPEG is off by 2, the next photo by 20 and more
+)
 _COMPARED = 3  # photos of two folders
 _MOST_PAIRS = 100  # of folders that are compared: each takes up to half a second
 

@@ -186,9 +186,10 @@ def _moved(records: Sequence[FrameRecord], carried: Sequence[Floats]) -> list[Fr
 
 def _nearer(first: list[FrameRecord], second: list[FrameRecord], *, prefer_first: bool) -> list[FrameRecord]:
     """Return whichever of the same frames with two kinds of poses agrees better on what neighbours see."""
-    chosen = np.unique(np.linspace(0, len(first) - 2, _CHECKED_PAIRS).round().astype(int)) if len(first) > 1 else []
+    last = len(first) - 2
+    chosen = sorted({round(at) for at in np.linspace(0, last, _CHECKED_PAIRS)}) if last >= 0 else []
     off = [
-        np.median([_off_m(frames[at], frames[at + 1]) for at in chosen] or [_MOST_OFF_M]) for frames in (first, second)
+        float(np.median([_off_m(one[at], one[at + 1]) for at in chosen] or [_MOST_OFF_M])) for one in (first, second)
     ]
     if off[0] == off[1]:
         return first if prefer_first else second
@@ -202,7 +203,7 @@ def _off_m(one: FrameRecord, other: FrameRecord) -> float:
     except CaptureError:  # which is said of it when the frames are checked
         return _MOST_OFF_M
     camera = one.intrinsics.scaled_to(seen.shape[1], seen.shape[0])
-    v, u = (places[::_STEP, ::_STEP].reshape(-1) for places in np.indices(seen.shape))
+    v, u = np.indices(seen.shape)[:, ::_STEP, ::_STEP].reshape(2, -1)
     z = seen[v, u].astype(np.float64)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
     if not np.isfinite([one.camera_to_world, other.camera_to_world]).all():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -56,7 +57,7 @@ def exr(
 def _zipped(raw: bytes) -> bytes:
     """Bytes of even places, then of odd ones; of each its difference to the one before, and 128; then zlib."""
     mixed = raw[0::2] + raw[1::2]
-    steps = bytes([mixed[0], *((b - a + 128) % 256 for a, b in zip(mixed, mixed[1:], strict=False))])
+    steps = bytes([mixed[0], *((b - a + 128) % 256 for a, b in pairwise(mixed))])
     packed = zlib.compress(steps)
     return packed if len(packed) < len(raw) else raw
 
