@@ -30,7 +30,7 @@ _MOST_ATTRIBUTES, _MOST_CHANNELS, _MOST_HEADER = 200, 64, 2**16
 
 
 @dataclass(frozen=True, slots=True)
-class _Header:
+class _ExrHeader:
     """What a picture's header says. line: type of a line of pixels; start: byte behind the header"""
 
     size: tuple[int, int]
@@ -97,7 +97,7 @@ def _unpacked(packed: bytes, size: int, file: str) -> bytes:
     return plain.tobytes()
 
 
-def _header(data: bytes, file: str) -> _Header:
+def _header(data: bytes, file: str) -> _ExrHeader:
     """Read a header. Raises IMAGE_UNREADABLE for what is not read, by its name, and IMAGE_TOO_LARGE."""
     if data[:4] != _MAGIC or len(data) < 8:
         raise broken_image(file, say("not_exr_image"))
@@ -113,7 +113,7 @@ def _header(data: bytes, file: str) -> _Header:
         kind = _COMPRESSIONS[compression] if compression < len(_COMPRESSIONS) else str(compression)
         what = say("exr_image_of_kind", kind="tiles or parts" if version & _OTHER_KINDS else kind)
         raise CaptureError("IMAGE_UNREADABLE", what, file=file, hints=(say("export_recording_as_r3d"),))
-    return _Header(size, top, compression, line, start)
+    return _ExrHeader(size, top, compression, line, start)
 
 
 def _attributes(data: bytes) -> tuple[dict[str, bytes], int]:

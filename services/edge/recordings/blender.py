@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections.abc import Callable
+from collections import ChainMap
+from collections.abc import Callable, Container
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,35 +35,52 @@ def matches(folder: Folder) -> bool:
 
 
 def read(folder: Folder) -> Capture:
-    """Read the photos of all splits with their cameras; of a split without pictures it is told.
+    """Read the photos of all splits with their cameras; of pictures that are not there it is told.
 
     Raises CaptureError, naming the file, where no split has pictures.
     """
-    photos: dict[str, Callable[[], Photo]] = {}
-    missing: list[str] = []
-    upright = True
-    files = [file for file in _FILES if folder.has(file)]
+    files = list(filter(folder.has, _FILES))
     found = pictures(folder)
     known = set(map(_tail, found))
-    for file in files:
-        tree, frames = read_frames(folder, file)
-        # Splits have pictures of the same names: where one's folder is missing, another's is not taken for it.
-        there = [frame for frame in frames if _tail(str(frame.get("file_path"))) in known]
-        missing += [str(frame.get("file_path")) for frame in frames if _tail(str(frame.get("file_path"))) not in known]
-        if there:
-            listed = listed_photos(folder, tree, there, file)
-            photos = dict(zip(listed.names, listed.tries, strict=True)) | photos  # a picture of two splits is one
-        upright &= all(_BY_BLENDER in frame for frame in frames)
+    splits = [_split(folder, file, known) for file in files]
+    photos = ChainMap(*(split.photos for split in splits))  # a picture of two splits is one
+    missing = [path for split in splits for path in split.missing]
     if not photos:
         reason = say("lists_images_but_capture", count=len(missing), name=first_names(missing[:1]))
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=files[0], hints=(say("send_images"),))
-    passes = {name for name in found if _OTHER_PASSES.search(name)}
+    passes = filter(_OTHER_PASSES.search, found)
     warnings = (
         *missing_warning(missing, say("word_images")),
         *unlisted_warning(folder, {*photos, *passes}, ", ".join(files)),
     )
     tries = [photos[name] for name in folder.names if name in photos]
-    return posed_capture("blender", tries, up=_UP_Z if upright else None, warnings=warnings)
+    up = _UP_Z if all(split.upright for split in splits) else None
+    return posed_capture("blender", tries, up=up, warnings=warnings)
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    """A split of a scene: functions that read its photos, by their names; paths of pictures that are not there; and
+    whether Z is up."""
+
+    photos: dict[str, Callable[[], Photo]]
+    missing: list[str]
+    upright: bool
+
+
+def _split(folder: Folder, file: str, known: Container[str]) -> _Split:
+    """Find a split's photos. known: the tails of all pictures
+
+    Splits have pictures of the same names: where the folder of one is missing, that of another is not taken for it.
+    """
+    tree, frames = read_frames(folder, file)
+    there = [frame for frame in frames if _tail(str(frame.get("file_path"))) in known]
+    missing = [path for frame in frames if _tail(path := str(frame.get("file_path"))) not in known]
+    upright = all(_BY_BLENDER in frame for frame in frames)
+    if not there:
+        return _Split({}, missing, upright)
+    listed = listed_photos(folder, tree, there, file)
+    return _Split(dict(zip(listed.names, listed.tries, strict=True)), missing + listed.missing, upright)
 
 
 def _tail(path: str) -> str:

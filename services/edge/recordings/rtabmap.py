@@ -34,6 +34,7 @@ _MOST_BYTES = 65_536  # of a calibration
 _CHECKED_PAIRS = 8  # of neighbouring frames, by which it is told whose poses they are
 _STEP = 4  # pixels from one that is looked at to the next
 _MOST_OFF_M = 0.5
+_NUMBER = re.compile(r"\d{1,18}(\.\d{1,18})?")
 _UP_Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -66,20 +67,19 @@ def read(folder: Folder) -> Capture:
         capture = tum.read(folder)
         return replace(capture, warnings=(warning, *capture.warnings))
     posed = [(depth, _pose(table[row])) for depth, row in zip(depths, rows, strict=True) if row is not None]
-    calibrations = [_calibration(folder, depth) for depth, _ in posed]
-    camera = calibrations[0].camera if calibrations[0] else tum.folder_camera(folder, depths, 1 / METRES_PER_STEP)[0]
+    calibrations = _calibrations(folder, [depth for depth, _ in posed])
     records = [
         frame_of_files(
             folder,
             depth,
-            found.camera if found else camera,
+            calibration.camera,
             pose,
             METRES_PER_STEP,
             colour=_beside(folder, depth, "rgb", _COLOURS),
         )
-        for (depth, pose), found in zip(posed, calibrations, strict=True)
+        for (depth, pose), calibration in zip(posed, calibrations, strict=True)
     ]
-    carried = [np.eye(4) if found is None else found.local for found in calibrations]
+    carried = [calibration.local for calibration in calibrations]
     on_body = any(not np.allclose(local, np.eye(4)) for local in carried)
     if on_body:
         records = _nearer(records, _moved(records, carried), prefer_first="camera" in file.lower())
@@ -122,17 +122,15 @@ def _table(folder: Folder, file: str) -> Floats:
 def _rows_of(depths: Sequence[str], table: Floats) -> list[int | None] | None:
     """Return the row of each depth image: by its number, by its time, or by the order; None where none of it fits."""
     stems = [posixpath.splitext(posixpath.basename(depth))[0] for depth in depths]
-    named = np.array([float(stem) if re.fullmatch(r"\d{1,18}(\.\d{1,18})?", stem) else np.nan for stem in stems])
-    width = table.shape[1]
-    if width == 9:
+    named = np.array([float(stem) if _NUMBER.fullmatch(stem) else np.nan for stem in stems])
+    found: list[int | None] = [None] * len(depths)
+    if table.shape[1] == 9:
         by_number = {number: row for row, number in enumerate(table[:, 8].tolist())}
         found = [by_number.get(number) for number in named.tolist()]
-        if any(row is not None for row in found):
-            return found
-    if width in (8, 9):
+    if found.count(None) == len(found) and table.shape[1] in (8, 9):
         found = tum.nearest(table[:, 0], named)
-        if any(row is not None for row in found):
-            return found
+    if found.count(None) < len(found):
+        return found
     return list(range(len(depths))) if len(depths) == len(table) else None
 
 
@@ -143,6 +141,15 @@ def _pose(row: Floats) -> Floats:
         return pose
     place = row[0:7] if len(row) == 7 else row[1:8]
     return pose_from_quaternion(place[:3], place[3:])
+
+
+def _calibrations(folder: Folder, depths: Sequence[str]) -> list[_Calibration]:
+    """Return the calibration of each frame; of those without one a camera as of TUM's layout, which nothing carries."""
+    found = [_calibration(folder, depth) for depth in depths]
+    if None not in found:
+        return [each for each in found if each is not None]
+    camera, _ = tum.folder_camera(folder, depths, 1 / METRES_PER_STEP)
+    return [each or _Calibration(camera, np.eye(4)) for each in found]
 
 
 def _calibration(folder: Folder, depth: str) -> _Calibration | None:
