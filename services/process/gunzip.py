@@ -14,7 +14,7 @@ from capture2vr.sentences.sentence import say
 _MAGIC = b"\x1f\x8b\x08"
 _SUFFIX = ".gz"
 _BLOCK_BYTES = 1 << 20  # per read: a bomb can write at most this much more than its limit
-_HEADER_BYTES = 4096  # of gzip before the content, which may have a name
+_PIECE_BYTES = 512  # that are unpacked at once of a head, of which what comes before damage counts
 _DAMAGE_ERRORS = (EOFError, zlib.error, gzip.BadGzipFile)
 
 
@@ -26,12 +26,14 @@ def is_gzip(path: Path) -> bool:
 
 def gunzip_head(path: Path, count: int) -> bytes:
     """Return at most `count` of the first bytes behind gzip; what comes before damage, where there is any."""
+    plain, unpacker = b"", zlib.decompressobj(zlib.MAX_WBITS | 16)
     with path.open("rb") as file:
-        packed = file.read(count + _HEADER_BYTES)
-    try:
-        return zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(packed, count)
-    except zlib.error:
-        return b""
+        try:
+            while len(plain) < count and not unpacker.eof and (packed := file.read(_PIECE_BYTES)):
+                plain += unpacker.decompress(packed, count - len(plain))
+        except zlib.error:
+            pass
+    return plain
 
 
 def gunzip(packed: Path, plain: Path, name: str, limits: ArchiveLimits = DEFAULT_LIMITS) -> int:
