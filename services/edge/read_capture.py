@@ -16,39 +16,46 @@ from capture2vr.edge.capture import photos, pose_files
 from capture2vr.edge.capture.calibration import is_side_table
 from capture2vr.edge.capture.doubts import doubts_about
 from capture2vr.edge.capture.files import Folder, open_folder, translate_errors, unreadable
+from capture2vr.edge.capture.frame_records import first_names
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, Capture
 from capture2vr.edge.capture.units import in_unit
-from capture2vr.edge.clouds.cloud import cloud_format, read_cloud
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films import film
 from capture2vr.edge.recordings import (
     arkitscenes,
+    blender,
     colmap,
     depth16,
     kitti,
     nerfstudio,
     polycam,
     record3d,
+    record3d_exr,
     replica,
+    rtabmap,
     scanner3d,
     stray,
     tum,
 )
+from capture2vr.edge.recordings.scan_files import file_format, read_file
 from capture2vr.order.reading import AS_IT_SEEMS, FileReading
 from capture2vr.sentences.sentence import say
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
     (record3d.matches, record3d.read),
+    (record3d_exr.matches, record3d_exr.read),
     (stray.matches, stray.read),
     (polycam.matches, polycam.read),
     (scanner3d.matches, scanner3d.read),
     (nerfstudio.matches, nerfstudio.read),
+    (blender.matches, blender.read),
     (colmap.matches, colmap.read),
     (depth16.matches, depth16.read),
     (pose_files.matches, pose_files.read),
     (arkitscenes.matches, arkitscenes.read),
     (replica.matches, replica.read),
     (kitti.matches, kitti.read),
+    (rtabmap.matches, rtabmap.read),
     (tum.matches, tum.read),  # last: it accepts any capture with a folder called "depth"
 )
 _CLOUD_SUFFIXES = (
@@ -60,12 +67,16 @@ _CLOUD_SUFFIXES = (
     ".las",
     ".laz",
     ".e57",
+    ".ptx",
+    ".splat",
+    ".spz",
     ".obj",
     ".off",
     ".stl",
     ".glb",
     ".gltf",
 )
+_MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb", ".gltf")
 # Of models that are not read, whose folders and archives have textures: these are no photos of the thing.
 _UNREAD_MODELS = (".usd", ".usda", ".usdc", ".usdz", ".fbx", ".dae", ".3mf", ".3ds", ".blend", ".skp", ".step", ".stp")
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
@@ -117,8 +128,18 @@ def _read_folder(folder: Folder) -> Capture:
         raise CaptureError("CAPTURE_EMPTY", say("capture_has_no_files"), hints=(_FORMATS_HINT,))
     for matches, read in _FORMATS:
         if matches(folder):
-            return read(folder)
+            capture = read(folder)
+            return replace(capture, warnings=(*capture.warnings, *_meshes_beside(folder, capture)))
     return _read_files(folder)
+
+
+def _meshes_beside(folder: Folder, capture: Capture) -> tuple[str, ...]:
+    """Return a warning about the meshes beside the pictures of a recording, by their names alone, if any."""
+    meshes = [name for name in folder.names if name.lower().endswith(_MESH_SUFFIXES)]
+    if not meshes:
+        return ()
+    what = say("word_depth_images") if capture.kind == "rgbd" else say("word_photos")
+    return (say("meshes_beside_not_used", what=what, names=first_names(meshes)),)
 
 
 def _read_files(folder: Folder) -> Capture:
@@ -131,11 +152,12 @@ def _read_files(folder: Folder) -> Capture:
         return _read_pictures(folder)
     candidates.sort(key=lambda found: -folder.path(found[0]).stat().st_size)
     (name, kind), others = candidates[0], [other for other, _ in candidates[1:]]
-    capture = read_cloud(folder, name, kind)
+    capture = read_file(folder, name, kind)
     unused = _unused_photos(folder, name)
     warnings = list(capture.warnings)
     if others:
         warnings.append(say("only_used_other_point_clouds", name=name, count=len(others), names=", ".join(others[:3])))
+    warnings += [say("video_beside_not_used", name=name, video=video) for video in film.find_videos(folder)[:1]]
     if unused:
         warnings.append(say("photos_beside_not_used", name=name, count=len(unused), first=unused[0]))
     return replace(capture, warnings=tuple(warnings))
@@ -202,7 +224,7 @@ def _candidate(folder: Folder, name: str) -> str | None:
     """Return the point cloud or mesh format of a file, or None when it is neither."""
     if name.rsplit("/", 1)[-1].lower() in _SIDE_TABLES:
         return None
-    kind = cloud_format(folder, name)
+    kind = file_format(folder, name)
     return None if kind == "xyz" and len(folder.names) > 1 and is_side_table(folder, name) else kind
 
 

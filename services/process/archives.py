@@ -18,7 +18,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
 
 from capture2vr.errors import Capture2vrError
 from capture2vr.sentences.sentence import say
@@ -34,10 +33,9 @@ _DRIVE_LETTER = re.compile(r"[A-Za-z]:")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f]")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the first date that a zip can hold
 _DIRECTORY_BYTES = 1024  # of the central directory per allowed entry: 46 and a name; no real capture needs more
-_ARCHIVE_MAGIC = (  # magic numbers of archives; tar has its own far into the file
+_ARCHIVE_MAGIC = (  # magic numbers of archives, but for gzip, behind which a file may be; tar has its own far in
     b"PK\x03\x04",
     b"PK\x05\x06",
-    b"\x1f\x8b\x08",
     b"7z\xbc\xaf\x27\x1c",
     b"Rar!\x1a\x07",
     b"\xfd7zXZ\x00",
@@ -343,13 +341,13 @@ def _check_growth(entry: _Entry, size: int, total: int, limits: ArchiveLimits, a
 
 def _check_not_nested(path: Path, name: str) -> None:
     with path.open("rb") as file:
-        if _is_archive(file):
+        if holds_archive(file.read(_TAR_OFFSET + len(_TAR_MAGIC))):
             raise ArchiveError("ARCHIVE_NESTED", say("archive_contains_another_archive"), name)
 
 
-def _is_archive(file: BinaryIO) -> bool:
-    start = file.read(_TAR_OFFSET + len(_TAR_MAGIC))
-    return start.startswith(_ARCHIVE_MAGIC) or start[_TAR_OFFSET:] == _TAR_MAGIC
+def holds_archive(head: bytes) -> bool:
+    """Return whether the first bytes of a file are those of an archive."""
+    return head.startswith(_ARCHIVE_MAGIC) or head[_TAR_OFFSET:].startswith(_TAR_MAGIC)
 
 
 def _bomb(message: str, file: str | None = None) -> ArchiveError:

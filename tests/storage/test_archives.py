@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 import os
 import stat
@@ -232,8 +231,8 @@ def _zip() -> bytes:
 
 @pytest.mark.parametrize(
     "content",
-    [_zip(), gzip.compress(b"x"), _tar(), b"7z\xbc\xaf\x27\x1c" + bytes(9), b"Rar!\x1a\x07\x01\x00", b"\xfd7zXZ\x00"],
-    ids=["zip", "gzip", "tar", "7z", "rar", "xz"],
+    [_zip(), _tar(), b"7z\xbc\xaf\x27\x1c" + bytes(9), b"Rar!\x1a\x07\x01\x00", b"\xfd7zXZ\x00"],
+    ids=["zip", "tar", "7z", "rar", "xz"],
 )
 def test_an_archive_inside_is_known_by_its_content(tmp_path: Path, content: bytes) -> None:
     error = assert_refused("ARCHIVE_NESTED", zipped(tmp_path / "a.zip", {"good.jpg": JPEG, "photo.jpg": content}))

@@ -230,7 +230,8 @@ BAD: dict[str, Bad] = {
     "a 7z": Bad("CAPTURE_UNKNOWN_FORMAT", "scan.7z", one("scan.7z", lambda: SEVEN_ZIP)),
     "a tar": Bad("CAPTURE_UNKNOWN_FORMAT", "scan.tar", one("scan.tar", _tar)),
     "a tar.gz": Bad("CAPTURE_UNKNOWN_FORMAT", "scan.tar.gz", one("scan.tar.gz", lambda: gzip.compress(_tar()))),
-    "a .ply.gz": Bad("CAPTURE_UNKNOWN_FORMAT", "scan.ply.gz", one("scan.ply.gz", lambda: gzip.compress(_PLY))),
+    "a cut .ply.gz": Bad("ARCHIVE_BROKEN", "scan.ply.gz", one("scan.ply.gz", lambda: gzip.compress(_PLY)[:-40])),
+    "a bomb behind gzip": Bad("ARCHIVE_BOMB", "a.ply.gz", one("a.ply.gz", lambda: gzip.compress(bytes(50_000_000)))),
     "a RAR named .zip": Bad("ARCHIVE_BROKEN", "upload.zip", one("upload.zip", lambda: RAR)),
     "a Record3D file of text": Bad("ARCHIVE_BROKEN", "scan.r3d", one("scan.r3d", lambda: LETTER)),
 }

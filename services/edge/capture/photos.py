@@ -16,6 +16,7 @@ from capture2vr.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Captur
 from capture2vr.edge.capture.panorama import VIEWS, by_direction, is_panorama, views_of
 from capture2vr.edge.capture.photo_copy import keep_copy
 from capture2vr.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
+from capture2vr.edge.capture.smaller_copies import without_copies
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
@@ -47,7 +48,8 @@ def read(folder: Folder) -> Capture:
     A single photo is a capture of kind "image". With fewer than MIN_PHOTOS readable photos, raises CAPTURE_UNREADABLE
     or IMAGE_TOO_LARGE, naming the first unreadable one, or CAPTURE_LOW_OVERLAP when all of them can be read.
     """
-    names, masks = split_masks(folder, _pictures_and_masks(folder))
+    everything, masks = split_masks(folder, _pictures_and_masks(folder))
+    names, copies = without_copies(folder, everything)
     if len(names) == 1:
         return _single_photo(folder, read_photo(folder, names[0]))
     photos: list[Photo] = []
@@ -74,7 +76,8 @@ def read(folder: Folder) -> Capture:
         warnings=(
             *left_out_warning(len(names)),
             *_panoramas_warning(len(used), len(panoramas)),
-            *stray_masks_warning(folder, masks, names),
+            *copies,
+            *stray_masks_warning(folder, masks, everything),
         ),
     )
 

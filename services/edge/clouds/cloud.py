@@ -44,7 +44,7 @@ _MAX_BYTES = {
     "off": 2**28,
     "xyz": 2**30,
 }  # of text formats, which need many times their size to be parsed
-_SNIFF_BYTES = 2**16  # read of a file to detect its format
+SNIFF_BYTES = 2**16  # read of a file to detect its format
 _FAR_OFF = 100.0  # of a cloud's extent from the origin: below it float32 is exact to a hundred thousandth of that
 _SAMPLE = 100_000  # points used for the principal extents; fast also for a cloud of 20 million
 
@@ -67,6 +67,7 @@ _FRAMES = {
     "glb": _Frame("metric", UP_Y),  # glTF 2.0, section 3.4: metres, Y up
     "gltf": _Frame("metric", UP_Y),
     "e57": _Frame("metric", UP_Z),  # ASTM E2807: metres; scanners level themselves
+    "ptx": _Frame("metric", UP_Z),  # Leica's description of it: metres, levelled as the scanner was
     "las": _Frame("estimated", UP_Z),  # usually metres, where no coordinate reference system says another unit
 }
 _MESHES = ("off", "stl", "glb", "gltf")
@@ -76,9 +77,13 @@ def cloud_format(folder: Folder, name: str) -> str | None:
     """Detect the format of a file from its first bytes: ply, pcd, npy, las, e57, a mesh format, xyz, or None."""
     path = folder.path(name)
     with translate_errors(name, "file"), path.open("rb") as stream:
-        head = stream.read(_SNIFF_BYTES)
+        return format_by_head(stream.read(SNIFF_BYTES), path.stat().st_size, name)
+
+
+def format_by_head(head: bytes, size: int, name: str) -> str | None:
+    """Detect the format of a file of `size` bytes from the SNIFF_BYTES at its beginning, as `cloud_format`."""
     magic = _by_magic(head)
-    if magic is None and is_binary_stl(head, path.stat().st_size, named=name.lower().endswith(".stl")):
+    if magic is None and is_binary_stl(head, size, named=name.lower().endswith(".stl")):
         return "stl"
     if magic is None and name.lower().endswith(".gltf") and head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         return "gltf"  # what tells it may come behind megabytes of a buffer
@@ -111,7 +116,7 @@ def _by_text(head: bytes) -> str | None:
         return "stl"
     if re.search(r"^[ \t]*v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]\S*[ \t]+[-+.\dna]", text, re.M | re.I):
         return "obj"
-    return "xyz" if looks_numeric(text[: text.rfind("\n")] if len(head) == _SNIFF_BYTES else text) else None
+    return "xyz" if looks_numeric(text[: text.rfind("\n")] if len(head) == SNIFF_BYTES else text) else None
 
 
 def read_cloud(folder: Folder, name: str, kind: str) -> Capture:

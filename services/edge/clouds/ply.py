@@ -51,7 +51,8 @@ _TYPES = {
 _TEXTURE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+(\S[^\r\n]*)", re.MULTILINE)
 _SPLAT = ("f_dc_0", "f_dc_1", "f_dc_2")
 _HARMONIC = 0.28209479177387814  # the spherical harmonic of degree 0, which is constant: 1 / (2 sqrt(pi))
-_LEAST_LOGIT = math.log(0.1 / 0.9)  # of a splat's opacity: under a tenth it is haze, and no surface
+LEAST_OPACITY = 0.1  # of a splat: below it is haze, and no surface
+_LEAST_LOGIT = math.log(LEAST_OPACITY / (1 - LEAST_OPACITY))
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -83,12 +84,24 @@ def read_ply(path: Path, file: str) -> PlyFile:
         of_faces = read.get("face", Records({}, []))
         faces, record = triangles_of(of_faces.polygons, cloud.xyz, file)
     if splats:
-        return PlyFile(cloud, faces, None, (_splat_warning(file),))
+        return PlyFile(cloud, faces, None, (splat_warning(file),))
     texture = _TEXTURE.search(data[:start])
     rgb = first_present(of_faces.columns, RGB)
     painted, _ = read_colours(rgb) if cloud.rgb is None else (None, ())
     warnings = (_texture_warning(texture[1], cloud, file),) if texture and len(faces) else ()
     return PlyFile(cloud, faces, pick(painted, record), warnings)
+
+
+def read_columns(path: Path, file: str) -> dict[str, dict[str, NDArray[Any]]]:
+    """Read the scalars of a binary PLY's elements up to its vertices: by the names of elements and of properties.
+
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
+    """
+    with translate_errors(file, "PLY"):
+        data = path.read_bytes()
+        elements, order, start = _header(data[:_HEADER_BYTES], file)
+        read = _read_binary(data, start, elements, order, file) if order else {}
+        return {name: records.columns for name, records in read.items()}
 
 
 def ply_parts(path: Path, file: str) -> RawParts | None:
@@ -112,7 +125,7 @@ def ply_parts(path: Path, file: str) -> RawParts | None:
             columns = {name: rows[name] for name in rows.dtype.names or ()}
             yield raw_columns(_splat_centres(columns) if splats else columns, file)
 
-    return RawParts(first.count, read, (_splat_warning(file),) if splats else ())
+    return RawParts(first.count, read, (splat_warning(file),) if splats else ())
 
 
 def _are_splats(elements: list[PlyElement]) -> bool:
@@ -134,7 +147,8 @@ def _splat_centres(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     )
 
 
-def _splat_warning(file: str) -> str:
+def splat_warning(file: str) -> str:
+    """Return the warning that a file's splats are read as points."""
     what = say("holds_gaussian_splats_centres_those")
     return say("not_on_send_photos_made", file=file, what=what)
 

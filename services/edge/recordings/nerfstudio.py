@@ -59,12 +59,11 @@ def read(folder: Folder) -> Capture:
 
     Raises CaptureError, naming the file.
     """
-    tree = read_json(folder.path(FILE), FILE)
-    frames = _frames(tree)
+    tree, frames = read_frames(folder, FILE)
     written = [(frame, path) for frame in frames if (path := _depth_path(frame)) is not None]
     if not written:
         return _photos(folder, tree, frames)
-    present, missing = _split_present(folder, written)
+    present, missing = _split_present(folder, written, FILE)
     if not present:
         reason = say("lists_depth_images_but_capture", count=len(missing), name=first_names(missing[:1]))
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_folder_depth_images"),))
@@ -79,44 +78,71 @@ def read(folder: Folder) -> Capture:
     return rgbd_capture("nerfstudio", records, axes="opengl", up=None, file=FILE, warnings=warnings)
 
 
-def _frames(tree: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _frames(tree: Mapping[str, Any], file: str) -> list[dict[str, Any]]:
     frames = tree.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise unreadable(FILE, say("has_no_list_objects_under"))
+        raise unreadable(file, say("has_no_list_objects_under"))
     if not frames:
-        raise CaptureError("CAPTURE_EMPTY", say("has_empty_list_frames"), file=FILE)
+        raise CaptureError("CAPTURE_EMPTY", say("has_empty_list_frames"), file=file)
     return frames
 
 
 def _split_present(
-    folder: Folder, written: Sequence[tuple[Mapping[str, Any], object]]
+    folder: Folder, written: Sequence[tuple[Mapping[str, Any], object]], file: str
 ) -> tuple[list[_Named], list[str]]:
     """Return the frames whose image is in the capture, and the paths of the other frames' images."""
-    found = find_pictures(folder, [path for _, path in written], by=FILE)
+    found = find_pictures(folder, [path for _, path in written], by=file)
     present = [(frame, found[str(path)]) for frame, path in written if str(path) in found]
     return present, [posixpath.normpath(str(path)) for _, path in written if str(path) not in found]
 
 
-def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]]) -> Capture:
-    """Read the images as posed photos. The scale is unknown: it depends on the program that computed the poses."""
-    present, missing = _split_present(folder, [(ChainMap(frame, tree), frame.get("file_path")) for frame in frames])
+@dataclass(frozen=True, slots=True)
+class ListedPhotos:
+    """Photos that a file lists with their cameras.
+
+    names    of those that are in the capture; tries: functions that read them, in the same order
+    missing  paths of the others
+    """
+
+    names: list[str]
+    tries: list[Callable[[], Photo]]
+    missing: list[str]
+
+
+def listed_photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]], file: str) -> ListedPhotos:
+    """Find the photos of `frames` of the `tree` that `file` has. Raises CAPTURE_COUNT_MISMATCH where there is none."""
+    pairs = [(ChainMap(frame, tree), frame.get("file_path")) for frame in frames]
+    present, missing = _split_present(folder, pairs, file)
     if not present:
         reason = say("lists_images_but_capture", count=len(missing), name=first_names(missing[:1]))
-        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=(say("send_images"),))
-    tries = [partial(_photo, folder, frame, name) for frame, name in present]
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=file, hints=(say("send_images"),))
+    tries = [partial(_photo, folder, frame, name, file) for frame, name in present]
+    return ListedPhotos([name for _, name in present], [*tries], missing)
+
+
+def read_frames(folder: Folder, file: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Read a file of cameras: what it has for all frames, and the frames. Raises CAPTURE_UNREADABLE, CAPTURE_EMPTY."""
+    tree = read_json(folder.path(file), file)
+    return tree, _frames(tree, file)
+
+
+def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]]) -> Capture:
+    """Read the images as posed photos. The scale is unknown: it depends on the program that computed the poses."""
+    listed = listed_photos(folder, tree, frames, FILE)
     depths = find_pictures(folder, filter(None, map(_depth_path, frames)), by=FILE).values()
-    unlisted = unlisted_warning(folder, {*depths, *(name for _, name in present)}, FILE)
-    return posed_capture("nerfstudio", tries, warnings=(*missing_warning(missing, say("word_images")), *unlisted))
+    unlisted = unlisted_warning(folder, {*depths, *listed.names}, FILE)
+    warnings = (*missing_warning(listed.missing, say("word_images")), *unlisted)
+    return posed_capture("nerfstudio", listed.tries, warnings=warnings)
 
 
-def _photo(folder: Folder, frame: Mapping[str, Any], name: str) -> Photo:
+def _photo(folder: Folder, frame: Mapping[str, Any], name: str, file: str) -> Photo:
     photo = read_photo(folder, name)
     mask = frame.get("mask_path")
-    if mask is not None and folder.has(at := folder.resolve(mask, by=FILE)):
+    if mask is not None and folder.has(at := folder.resolve(mask, by=file)):
         photo = replace(photo, load_mask=mask_loader(folder, at))
-    camera = _camera(frame, lambda: photo.size)
-    lens = _lens(frame, camera)
-    pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {name}").reshape(4, 4)
+    camera = _camera(frame, lambda: photo.size, file)
+    lens = _lens(frame, camera, file)
+    pose = numbers(frame.get("transform_matrix"), 16, file=file, what=f"transform_matrix of {name}").reshape(4, 4)
     key = f"{camera.fx:.2f} {camera.cx:.2f} {camera.cy:.2f}"
     return with_camera(photo, GivenCamera(key, camera, lens.coefficients if lens else (0.0,) * 5, pose, "opengl"))
 
@@ -151,8 +177,9 @@ def _record(folder: Folder, frame: Mapping[str, Any], depth: str, colour: str | 
     """Read one frame. `frame` has the file's keys, overridden by the frame's: intrinsics may be in either place."""
     pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {depth}").reshape(4, 4)
     source = depth_file(folder.path(depth), depth, _metres_per_step(frame))
-    camera = _camera(frame, source.size if colour is None else partial(image_size, folder.path(colour), colour))
-    lens = _lens(frame, camera)
+    measured = source.size if colour is None else partial(image_size, folder.path(colour), colour)
+    camera = _camera(frame, measured, FILE)
+    lens = _lens(frame, camera, FILE)
     rgb: ColourSource | None = None if colour is None else ImageColour(folder.path(colour), colour)
     if lens is not None:
         source, rgb = UndistortedDepth(source, lens), None if rgb is None else UndistortedColour(rgb, lens)
@@ -167,28 +194,28 @@ def _metres_per_step(frame: Mapping[str, Any]) -> float:
     return scale
 
 
-def _camera(frame: Mapping[str, Any], measured: Callable[[], tuple[int, int]]) -> Intrinsics:
+def _camera(frame: Mapping[str, Any], measured: Callable[[], tuple[int, int]], file: str) -> Intrinsics:
     """Return the intrinsics, for the image size in the file or else for the `measured` one."""
     if "w" in frame and "h" in frame:
-        width, height = number(frame, "w", file=FILE), number(frame, "h", file=FILE)
+        width, height = number(frame, "w", file=file), number(frame, "h", file=file)
     else:
         width, height = measured()
-    size = image_dimensions(width, height, FILE)
-    fx = _focal(frame, "x", width)
-    fy = _focal(frame, "y", height) if "fl_y" in frame or "camera_angle_y" in frame else fx
-    cx = number(frame, "cx", file=FILE) if "cx" in frame else width / 2
-    cy = number(frame, "cy", file=FILE) if "cy" in frame else height / 2
-    return checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, *size), FILE)
+    size = image_dimensions(width, height, file)
+    fx = _focal(frame, "x", width, file)
+    fy = _focal(frame, "y", height, file) if "fl_y" in frame or "camera_angle_y" in frame else fx
+    cx = number(frame, "cx", file=file) if "cx" in frame else width / 2
+    cy = number(frame, "cy", file=file) if "cy" in frame else height / 2
+    return checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, *size), file)
 
 
-def _focal(frame: Mapping[str, Any], axis: str, side: float) -> float:
+def _focal(frame: Mapping[str, Any], axis: str, side: float, file: str) -> float:
     """Return the focal length in pixels, given as such or as the field of view: side = 2 f tan(angle / 2)."""
     if f"fl_{axis}" in frame:
-        return number(frame, f"fl_{axis}", file=FILE)
+        return number(frame, f"fl_{axis}", file=file)
     if f"camera_angle_{axis}" not in frame:
         what = say("has_neither_fl_nor_camera", x=axis, y=axis)
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE)
-    half = number(frame, f"camera_angle_{axis}", file=FILE) / 2
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=file)
+    half = number(frame, f"camera_angle_{axis}", file=file) / 2
     return side / (2 * math.tan(half)) if 0 < half < math.pi / 2 else math.nan
 
 
@@ -215,14 +242,14 @@ class DistortedCamera:
         return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
 
 
-def _lens(frame: Mapping[str, Any], camera: Intrinsics) -> DistortedCamera | None:
+def _lens(frame: Mapping[str, Any], camera: Intrinsics, file: str) -> DistortedCamera | None:
     """Return the camera with its distortion, or None without any. Raises CAPTURE_BAD_INTRINSICS."""
     if str(frame.get("camera_model", "")).upper() not in _MODELS or frame.get("is_fisheye"):
         what = say("has_camera_model_not_supported", model=repr(frame.get("camera_model", "fisheye")))
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE, hints=(say("undistort_images_first"),))
-    coefficients = tuple(number(frame, key, file=FILE) if key in frame else 0.0 for key in _DISTORTION)
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=file, hints=(say("undistort_images_first"),))
+    coefficients = tuple(number(frame, key, file=file) if key in frame else 0.0 for key in _DISTORTION)
     if not all(math.isfinite(value) for value in coefficients):
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", say("has_lens_distortion_coefficients"), file=FILE)
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", say("has_lens_distortion_coefficients"), file=file)
     return DistortedCamera(camera, coefficients) if max(map(abs, coefficients)) > _NEGLIGIBLE_DISTORTION else None
 
 

@@ -141,17 +141,17 @@ def read_archive(path: Path, file: str) -> Capture:
 def _read(files: _RecordingFiles) -> Capture:
     """Read a recording: RGB-D frames, or posed photos without depth."""
     meta = parse_json(files.read(_METADATA).decode("utf-8", "replace"), _METADATA)
-    poses = _poses(meta)
+    poses = poses_of(meta, _METADATA)
     depths, pictures = _numbered(files, ".depth"), _numbered(files, ".jpg")
     numbered, of = (depths, say("word_depth_images")) if depths else (pictures, say("word_pictures"))
     posed = sorted(index for index in numbered if index < len(poses))
     warnings = check_mostly_paired(len(posed), len(numbered), len(poses), file=_METADATA, what=say("word_poses"), of=of)
-    cameras = _cameras(meta, len(poses))
-    up = _UP_Y if "initPose" in meta else None
+    cameras = cameras_of(meta, len(poses), _METADATA)
+    up = up_of(meta)
     if not depths:
         tries = [partial(_photo, files, pictures[index], cameras[index], poses[index]) for index in posed]
         return posed_capture("record3d", tries, scale="metric", up=up, warnings=warnings)
-    size = _image_side(meta, "dw"), _image_side(meta, "dh")
+    size = _image_side(meta, "dw", _METADATA), _image_side(meta, "dh", _METADATA)
     check_pixels(size, _METADATA)
     names = frozenset(files.names)
     records = [_record(files, names, index, numbered[index], cameras[index], poses[index], size) for index in posed]
@@ -188,42 +188,47 @@ def _record(
     return FrameRecord(depth, camera, pose, LzfseDepth(files, depth, size), load_confidence, rgb)
 
 
-def _poses(meta: Mapping[str, Any]) -> list[Floats]:
+def poses_of(meta: Mapping[str, Any], file: str) -> list[Floats]:
     """Return the camera-to-world poses (4,4) in OpenGL axes; in ARKit's world when `initPose` is given."""
     listed = meta.get("poses")
     if not isinstance(listed, list) or not listed:
         hint = say("export_as_r3d")
-        raise CaptureError("CAPTURE_NO_POSES", say("has_no_camera_poses"), file=_METADATA, hints=(hint,))
+        raise CaptureError("CAPTURE_NO_POSES", say("has_no_camera_poses"), file=file, hints=(hint,))
     start: Floats = np.eye(4)
     if "initPose" in meta:
-        start = checked_pose(_pose(meta["initPose"], "initPose"), axes="opencv", file=_METADATA)
-    return [start @ _pose(words, f"pose {index}") for index, words in enumerate(listed)]
+        start = checked_pose(_pose(meta["initPose"], "initPose", file), axes="opencv", file=file)
+    return [start @ _pose(words, f"pose {index}", file) for index, words in enumerate(listed)]
 
 
-def _pose(words: object, what: str) -> Floats:
-    vector = numbers(words, 7, file=_METADATA, what=what)
+def up_of(meta: Mapping[str, Any]) -> Floats | None:
+    """Return which way is up in the world of the poses, where `initPose` tells it."""
+    return _UP_Y if "initPose" in meta else None
+
+
+def _pose(words: object, what: str, file: str) -> Floats:
+    vector = numbers(words, 7, file=file, what=what)
     return pose_from_quaternion(vector[4:], vector[:4])
 
 
-def _cameras(meta: Mapping[str, Any], count: int) -> list[Intrinsics]:
+def cameras_of(meta: Mapping[str, Any], count: int, file: str) -> list[Intrinsics]:
     """Return the intrinsics of each frame for the colour image's size.
 
     From `perFrameIntrinsicCoeffs` (fx, fy, cx, cy), or else from K, the same for all frames.
     """
-    width, height = _image_side(meta, "w"), _image_side(meta, "h")
+    width, height = _image_side(meta, "w", file), _image_side(meta, "h", file)
     each = meta.get("perFrameIntrinsicCoeffs")
     if isinstance(each, list) and len(each) == count:
-        rows = [numbers(row, 4, file=_METADATA, what="perFrameIntrinsicCoeffs") for row in each]
+        rows = [numbers(row, 4, file=file, what="perFrameIntrinsicCoeffs") for row in each]
         return [pinhole(row, (width, height)) for row in rows]
-    k = numbers(meta.get("K"), 9, file=_METADATA, what="K").reshape(3, 3).T
+    k = numbers(meta.get("K"), 9, file=file, what="K").reshape(3, 3).T
     return [matrix_pinhole(k, (width, height))] * count
 
 
-def _image_side(meta: Mapping[str, Any], key: str) -> int:
+def _image_side(meta: Mapping[str, Any], key: str, file: str) -> int:
     """Return an image side in pixels. Raises CAPTURE_UNREADABLE."""
-    value = number(meta, key, file=_METADATA)
+    value = number(meta, key, file=file)
     if not 1 <= value <= 1e6:
-        raise unreadable(_METADATA, say("has_not_size_image", key=key, value=value))
+        raise unreadable(file, say("has_not_size_image", key=key, value=value))
     return int(value)
 
 

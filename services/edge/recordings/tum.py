@@ -89,7 +89,7 @@ def _read_open3d(folder: Folder, log: str | None) -> Capture:
         check_counts_match(
             len(depths), len(colours), file=posixpath.dirname(colours[0]), what=say("word_colour_images")
         )
-    camera, scale = _camera(folder, depths, OPEN3D_STEPS_PER_METRE)
+    camera, scale = folder_camera(folder, depths, OPEN3D_STEPS_PER_METRE)
     pairs: list[str | None] = [*colours] if colours else [None] * len(depths)
     records = [
         frame_of_files(folder, depth, camera, pose, 1 / scale, colour=colour)
@@ -124,7 +124,7 @@ def _read_tum(folder: Folder, truth: str | None) -> Capture:
     if not depths:
         raise CaptureError("CAPTURE_EMPTY", say("has_no_stamped_depth_images"), file="depth.txt")
     stamps, poses = _placeholder_poses(depths) if truth is None else _ground_truth(folder, truth)
-    camera, scale = _camera(folder, [name for _, name in depths if folder.has(name)], TUM_STEPS_PER_METRE)
+    camera, scale = folder_camera(folder, [name for _, name in depths if folder.has(name)], TUM_STEPS_PER_METRE)
     paired = _associate(folder, depths, colours, stamps)
     if not paired.usable:
         raise _nothing_usable(paired, truth)
@@ -210,7 +210,7 @@ def _ground_truth(folder: Folder, truth: str) -> tuple[Floats, list[Floats]]:
     return table[:, 0], [pose_from_quaternion(row[1:4], row[4:8]) for row in table]
 
 
-def _camera(folder: Folder, depths: Sequence[str], steps_per_metre: float) -> tuple[Intrinsics, float]:
+def folder_camera(folder: Folder, depths: Sequence[str], steps_per_metre: float) -> tuple[Intrinsics, float]:
     """Return intrinsics and depth steps per metre, from the first JSON with an intrinsic_matrix, or else from a text
     file with a calibration, or else the defaults.
 

@@ -11,6 +11,7 @@ from capture2vr.gateway.uploads.add_photos import add_photos
 from capture2vr.gateway.uploads.refusal import SEND_FEWER, Refused, too_many_files
 from capture2vr.gateway.uploads.validate import FileReport, validate
 from capture2vr.process.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
+from capture2vr.process.gunzip import gunzip_all
 from capture2vr.sentences.sentence import say
 
 _ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
@@ -66,6 +67,7 @@ def check_and_pack(order: CheckOrder, begin: Callable[[str], None]) -> PackedFil
     if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
         begin(names[0] if order.has_client_names else "")
         source, names = folder / "files", _unpack(source / names[0], folder / "files", order)
+    names = _gunzip_all(source, names, order)
     if order.continues:
         source, names = _add_to_earlier(source, names, order)
     verdicts = validate(source, names, begin)
@@ -89,6 +91,15 @@ def _add_to_earlier(source: Path, names: Sequence[str], order: CheckOrder) -> tu
         detail = say("with_earlier_photos_capture", most=order.most_bytes)
         raise Refused("UPLOAD_TOO_LARGE", detail, hints=SEND_FEWER, status=413)
     return earlier, together
+
+
+def _gunzip_all(folder: Path, names: Sequence[str], order: CheckOrder) -> list[str]:
+    """Replace files behind gzip by what they hold, and return the names of all files. Raises Refused."""
+    try:
+        return gunzip_all(folder, names, ArchiveLimits(total_bytes=2 * order.most_bytes))
+    except ArchiveError as error:
+        file = error.file if order.has_client_names or folder.name != "in" else ""
+        raise Refused(error.code, error.message, file or "", error.hints) from None
 
 
 def _unpack(archive: Path, into: Path, order: CheckOrder) -> list[str]:

@@ -43,6 +43,7 @@ _MAGIC = (
     (b"v/1\x01", Kind.EXR),
     (b"\x1aE\xdf\xa3", Kind.MATROSKA),
     (b"ASTM-E57", Kind.E57),
+    (b"NGSP", Kind.DATA),  # Gaussian splats of an .spz, whose gzip is undone
     (b"PK\x03\x04", Kind.ARCHIVE),
     (b"PK\x05\x06", Kind.ARCHIVE),
     (b"\x1f\x8b\x08", Kind.ARCHIVE),
@@ -62,6 +63,8 @@ _MATROSKA_SUFFIXES = {".webm", ".mkv"}
 _DATA_SUFFIXES = {".ply", ".pcd", ".xyz", ".pts", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf", ".mtl"}
 _DATA_SUFFIXES |= {
     ".e57",
+    ".ptx",
+    ".splat",
     ".info",
     ".depth",
     ".conf",

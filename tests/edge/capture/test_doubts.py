@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Callable
 from pathlib import Path
 
@@ -108,6 +109,14 @@ def test_columns_that_are_told_are_read(tmp_path: Path) -> None:
     assert capture.cloud is not None
     assert capture.cloud.rgb is not None
     assert capture.cloud.rgb[0].tolist() == [250, 120, 10]
+
+
+def test_what_is_told_holds_behind_gzip_too(tmp_path: Path) -> None:
+    plain = written(tmp_path, np.c_[np.arange(600) ** 1.5, BALL])
+    (tmp_path / "packed.xyz.gz").write_bytes(gzip.compress(plain.read_bytes()))
+    capture = read_capture(tmp_path / "packed.xyz.gz", reading=FileReading("x=2,y=3,z=4", "mm"))
+    np.testing.assert_allclose(coordinates(capture), BALL, atol=1e-6)
+    assert capture.metres_per_unit == METRES["mm"]
 
 
 def test_columns_that_are_told_come_before_a_header(tmp_path: Path) -> None:
