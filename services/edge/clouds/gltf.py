@@ -31,11 +31,19 @@ _READ: tuple[str, ...] = (
     "EXT_texture_webp",
     "EXT_mesh_gpu_instancing",
 )
-_READ += ("KHR_node_visibility", "KHR_lights_punctual", "KHR_xmp_json_ld", "KHR_animation_pointer")
+_READ += ("KHR_node_visibility", "KHR_lights_punctual", "KHR_animation_pointer")
+_READ += (
+    "KHR_xmp_json_ld",
+    "EXT_mesh_features",
+    "EXT_instance_features",
+    "EXT_structural_metadata",
+    "FB_ngon_encoding",
+)
 _SHADING = "KHR_materials_"  # begins the names of extensions that leave shape and base colour as they are
 _UNCOMPRESSED = say("export_gltf_without_compression")
+DRACO = "KHR_draco_mesh_compression"
 _ADVICE = {
-    "KHR_draco_mesh_compression": _UNCOMPRESSED,
+    DRACO: _UNCOMPRESSED,
     "EXT_meshopt_compression": _UNCOMPRESSED,
     "KHR_meshopt_compression": _UNCOMPRESSED,
     "KHR_texture_basisu": say("export_textures_as_jpeg_png"),
@@ -77,12 +85,11 @@ class GltfFile:
 
     def _check(self) -> None:
         tree = self.tree
-        if str(tree.get("asset", {}).get("version", "2.0")).startswith("1."):
+        if str(tree.get("asset", {}).get("version", "2.0")).startswith("1.") or isinstance(tree.get("meshes"), dict):
             raise unreadable(self.file, say("needs_not_supported", name="glTF 1.0"))
         for name in tree.get("extensionsRequired", []):
             if name not in _READ and not str(name).startswith(_SHADING):
-                advice = _ADVICE.get(name, say("export_gltf_without_extension"))
-                raise unreadable(self.file, say("needs_not_supported", name=str(name)[:120]), advice)
+                raise self.unsupported(str(name))
         for name, most in _MOST.items():
             if (count := len(tree.get(name, []))) > most:
                 raise too_many_entries(name, count, most, self.file)
@@ -94,6 +101,11 @@ class GltfFile:
             if not uri.startswith("data:") and self._find(uri) is None:
                 hint = say("send_bin_file_together")
                 raise unreadable(self.file, say("refers_to_missing", name=repr(uri[:120])), hint)
+
+    def unsupported(self, name: str) -> CaptureError:
+        """Return a CAPTURE_UNREADABLE error that the file needs this extension."""
+        advice = _ADVICE.get(name, say("export_gltf_without_extension"))
+        return unreadable(self.file, say("needs_not_supported", name=name[:120]), advice)
 
     def unread_extensions(self) -> list[str]:
         """Name the extensions that the file uses and that are not read; what is compressed comes uncompressed too."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from capture2vr.edge.arrays import Floats, Ints
-from capture2vr.edge.clouds.gltf import MAX_NODES, MAX_PARTS, GltfFile, no_entry, too_complex, too_many_entries
+from capture2vr.edge.clouds.gltf import DRACO, MAX_NODES, MAX_PARTS, GltfFile, no_entry, too_complex, too_many_entries
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, too_many_faces
 from capture2vr.edge.clouds.tables import MAX_POINTS, too_many_points
 from capture2vr.sentences.sentence import say
@@ -209,7 +209,8 @@ def primitives(gltf: GltfFile, mesh: PlacedMesh, modes: Sequence[int]) -> Iterat
         mirrored = np.linalg.det(matrices[:, :3, :3]) < 0
         for some, order in ((matrices[~mirrored], [0, 1, 2]), (matrices[mirrored], [0, 2, 1])):
             if len(some):
-                vertices = own[:, :3] @ some[:, :3, :3].swapaxes(1, 2) + some[:, None, :3, 3]
+                with np.errstate(invalid="ignore", over="ignore"):
+                    vertices = own[:, :3] @ some[:, :3, :3].swapaxes(1, 2) + some[:, None, :3, 3]
                 all_faces = faces[:, order] + len(own) * np.arange(len(some))[:, None, None]
                 yield Primitive(
                     gltf, tree, mesh.weights, rows, faces[:, order], vertices.reshape(-1, 3), all_faces.reshape(-1, 3)
@@ -221,7 +222,10 @@ def _faces(gltf: GltfFile, tree: Mapping[str, Any]) -> tuple[Ints | None, Ints]:
 
     Many primitives may share accessors of which each uses a few rows: then only those are read.
     """
-    mode, count = tree.get("mode", TRIANGLES), gltf.count(tree["attributes"]["POSITION"])
+    mode, position = tree.get("mode", TRIANGLES), gltf.entry("accessors", tree["attributes"]["POSITION"])
+    if DRACO in tree.get("extensions", {}) and "bufferView" not in position:  # nor is it there uncompressed
+        raise gltf.unsupported(DRACO)
+    count = position["count"]
     corners: Ints = np.arange(count)
     if "indices" in tree:
         indices = gltf.rows(tree["indices"])

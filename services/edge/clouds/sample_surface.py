@@ -49,7 +49,7 @@ def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
     """Sample SAMPLES points on all surfaces together, uniform by area, with face normals and, if any has them, colours.
 
     About as many where surfaces are cut out. A triangle with a coordinate that is not finite counts as area 0.
-    Raises CAPTURE_DEGENERATE for a total area of 0.
+    Raises CAPTURE_DEGENERATE where nothing has an area.
     """
     corners = [surface.vertices[surface.faces].astype(np.float64) for surface in surfaces]
     with np.errstate(invalid="ignore", over="ignore"):
@@ -59,7 +59,9 @@ def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
     shown = [_share_there(surface, area, rng) for surface, area in zip(surfaces, areas, strict=True)]
     parts = np.array([float(area.sum()) * share for area, share in zip(areas, shown, strict=True)])
     if not 0 < parts.sum() < np.inf:
-        raise CaptureError("CAPTURE_DEGENERATE", say("mesh_whose_triangles"), file=file)
+        hidden = any(area.any() for area in areas)
+        what = say("mesh_cut_out_everywhere") if hidden else say("mesh_whose_triangles")
+        raise CaptureError("CAPTURE_DEGENERATE", what, file=file)
     clouds = []
     coloured = any(surface.colour_at for surface in surfaces)
     counts = rng.multinomial(SAMPLES, parts / parts.sum())  # in proportion to what is there
