@@ -31,12 +31,13 @@ _LEAST = {"MASK": 0.5, "BLEND": 0.05}  # alpha of what is there, by the material
 class _Picture:
     """A picture that is decoded when it is looked at: by then all pictures were counted."""
 
-    def __init__(self, image: Any) -> None:
-        self._image = image
+    def __init__(self, image: Any, name: str) -> None:
+        self._image, self._name = image, name
 
     @cached_property
     def rgb(self) -> Bytes:
-        return rgb_of(self._image)
+        with translate_errors(self._name, "picture"):
+            return rgb_of(self._image)
 
     @property
     def has_alpha(self) -> bool:
@@ -44,7 +45,8 @@ class _Picture:
 
     @cached_property
     def alpha(self) -> Bytes:
-        return np.asarray(self._image.convert("RGBA"))[..., 3]
+        with translate_errors(self._name, "picture"):
+            return np.asarray(self._image.convert("RGBA"))[..., 3]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,8 @@ class _Texture:
         offset = np.asarray(self.transform.get("offset", (0, 0)), np.float64).reshape(2)
         turn = float(self.transform.get("rotation", 0))
         c, s = np.cos(turn), np.sin(turn)
-        moved: Floats = (given[:, :2] * scale) @ np.array([[c, -s], [s, c]]) + offset
+        with np.errstate(over="ignore", invalid="ignore"):
+            moved: Floats = (given[:, :2] * scale) @ np.array([[c, -s], [s, c]]) + offset
         return moved
 
 
@@ -82,7 +85,8 @@ class _Sheet:
 
     def look_up(self, pixels: Bytes, corners: Ints, weights: Floats) -> Bytes:
         """Return the nearest texels of points on triangles of these corners (N,3), with barycentric weights (N,3)."""
-        uv = np.nan_to_num(np.einsum("nc,ncd->nd", weights, self.uv[corners]))
+        with np.errstate(over="ignore", invalid="ignore"):
+            uv = np.nan_to_num(np.einsum("nc,ncd->nd", weights, self.uv[corners]))
         x, y = (_wrapped(along, wrap) for along, wrap in zip(uv.T, self.texture.wraps, strict=True))
         return texels_at(pixels, x, y)
 
@@ -212,7 +216,7 @@ class GltfMaterials:
                 with translate_errors(name, "picture"):
                     opened = Image.open(BytesIO(data))
                 self._pixels.add(opened.size)
-                self._pictures[key] = _Picture(opened)
+                self._pictures[key] = _Picture(opened, name)
         return self._pictures[key]
 
 
