@@ -22,7 +22,7 @@ ColourAt = Callable[[Ints, Floats], Bytes]
 """Triangle indices (N,) and barycentric weights (N,3) -> (N,3) uint8 sRGB."""
 IsThere = Callable[[Ints, Floats], NDArray[np.bool_]]
 """Triangle indices (N,) and barycentric weights (N,3) -> (N,): whether the surface is there, or cut out."""
-_PROBES = 10_000  # points by which the share of a surface that is there is told
+_PROBES = 50  # least points by which the share of a surface that is there is told
 _MOST_DRAWN = 10  # times the points that are kept, where little of a surface is there
 
 
@@ -56,7 +56,8 @@ def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
         crosses = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in corners]
         areas = [np.nan_to_num(np.linalg.norm(cross, axis=1), nan=0, posinf=0) for cross in crosses]
     rng = np.random.default_rng(SEED)
-    shown = [_share_there(surface, area, rng) for surface, area in zip(surfaces, areas, strict=True)]
+    total = sum(float(area.sum()) for area in areas)
+    shown = [_share_there(surface, area, total, rng) for surface, area in zip(surfaces, areas, strict=True)]
     parts = np.array([float(area.sum()) * share for area, share in zip(areas, shown, strict=True)])
     if not 0 < parts.sum() < np.inf:
         hidden = any(area.any() for area in areas)
@@ -74,11 +75,15 @@ def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
     return _concatenate(clouds)
 
 
-def _share_there(surface: SampledSurface, area: Floats, rng: np.random.Generator) -> float:
-    """Return which share of a surface's area is there: 1 unless it is cut out."""
-    if surface.is_there is None or not area.any():
+def _share_there(surface: SampledSurface, area: Floats, total: float, rng: np.random.Generator) -> float:
+    """Return which share of a surface's area is there: 1 unless it is cut out. A larger one is looked at more closely.
+
+    total: area of all surfaces
+    """
+    if surface.is_there is None or not 0 < total < np.inf or not area.any():
         return 1.0
-    return float(surface.is_there(_pick(area, _PROBES, rng), _barycentric(_PROBES, rng)).mean())
+    probes = _PROBES + int(SAMPLES * float(area.sum()) / total)
+    return float(surface.is_there(_pick(area, probes, rng), _barycentric(probes, rng)).mean())
 
 
 def _pick(area: Floats, count: int, rng: np.random.Generator) -> Ints:
