@@ -302,6 +302,14 @@ def test_the_outside_of_a_mirrored_mesh_is_still_outside(tmp_path: Path) -> None
     assert (np.einsum("nd,nd->n", cloud.normals, cloud.xyz) > 0).all()
 
 
+@pytest.mark.parametrize(("rotation", "quarter"), [([0, 0, 5, 5], True), ([0, 0, 0, 0], False)])
+def test_rotations_of_any_length_only_turn(rotation: list[float], quarter: bool) -> None:
+    """As some writers have them; one of length zero turns nothing."""
+    meant = np.stack([-TRIANGLE[:, 1], TRIANGLE[:, 0], TRIANGLE[:, 2]], axis=1) if quarter else TRIANGLE
+    found = triangles_of(one_mesh(nodes=[{"mesh": 0, "rotation": rotation}]))
+    np.testing.assert_allclose(found[0], meant, atol=1e-9)
+
+
 def test_hidden_nodes_and_those_below_them_are_not_shown() -> None:
     hidden = {"extensions": {"KHR_node_visibility": {"visible": False}}}
     nodes = [{"children": [1, 2]}, {"mesh": 0, "translation": [0, 0, 1]}, {"children": [3], **hidden}, {"mesh": 0}]
