@@ -228,5 +228,5 @@ LINEAR: dict[str, tuple[Make, int]] = {
     "a calibration of blanks": (_blanks, 4_000),
     "pictures beside a model": (_pictures_beside, 100),
     "a .r3d of many frames": (_r3d, 100),
-    "a GLB of views of the same bytes": (views, 500),
+    "a GLB of views of the same bytes": (views, 200),
 }

@@ -96,7 +96,10 @@ class GltfFile:
         for accessor in tree.get("accessors", []):
             if int(accessor["count"]) > 3 * MAX_POINTS:
                 raise too_many_points(int(accessor["count"]), self.file)
-        for buffer in tree.get("buffers", []):
+        self._check_buffers()
+
+    def _check_buffers(self) -> None:
+        for buffer in self.tree.get("buffers", []):
             uri = buffer.get("uri", "data:")
             if not uri.startswith("data:") and self._find(uri) is None:
                 hint = say("send_bin_file_together")

@@ -145,7 +145,7 @@ class GltfMaterials:
         Raises IMAGE_TOO_LARGE, CAPTURE_TOO_LARGE and CAPTURE_UNREADABLE.
         """
         vertices, faces = primitive.vertices, primitive.placed_faces
-        light = vertex_light(primitive)
+        light = _vertex_light(primitive)
         if light is None and "material" not in primitive.tree:
             return SampledSurface(vertices, faces)
         material = self._gltf.entry("materials", primitive.tree["material"]) if "material" in primitive.tree else {}
@@ -165,7 +165,7 @@ class GltfMaterials:
 
     def point_light(self, primitive: Primitive) -> Floats | None:
         """Return the light (N,3) of a primitive of points with vertex colours, None of another one."""
-        light = vertex_light(primitive)
+        light = _vertex_light(primitive)
         if light is None or "material" not in primitive.tree:
             return None if light is None else light[:, :3]
         factor, _, _ = self._base(self._gltf.entry("materials", primitive.tree["material"]))
@@ -220,7 +220,7 @@ class GltfMaterials:
         return self._pictures[key]
 
 
-def vertex_light(primitive: Primitive) -> Floats | None:
+def _vertex_light(primitive: Primitive) -> Floats | None:
     """Return linear light (V,3 or 4) in [0,1] of COLOR_0, whose integers are always fractions; None without any."""
     light = primitive.attribute("COLOR_0", fractions=True)
     if light is None:

@@ -114,17 +114,7 @@ def _global_matrices(gltf: GltfFile) -> Floats:
             if parent[child] >= 0:
                 raise ValueError(say("nodes_are_no_trees"))
             parent[child] = place
-    parts = [(node.get("translation"), node.get("rotation"), node.get("scale")) for node in nodes]
-    moves, turns, scales = ([each[at] for each in parts] for at in range(3))
-    matrices = _matrices(
-        np.array([(0, 0, 0) if each is None else each for each in moves], np.float64).reshape(-1, 3),
-        np.array([(0, 0, 0, 1) if each is None else each for each in turns], np.float64).reshape(-1, 4),
-        np.array([(1, 1, 1) if each is None else each for each in scales], np.float64).reshape(-1, 3),
-    )
-    for place, node in enumerate(nodes):
-        if "matrix" in node:
-            matrices[place] = np.array(node["matrix"], np.float64).reshape(4, 4).T
-    level, depth, seen = np.flatnonzero(parent < 0), 0, 0
+    matrices, level, depth, seen = _own_matrices(nodes), np.flatnonzero(parent < 0), 0, 0
     while len(level):
         seen, depth = seen + len(level), depth + 1
         if depth > _MAX_DEPTH:
@@ -133,6 +123,18 @@ def _global_matrices(gltf: GltfFile) -> Floats:
         matrices[level] = matrices[parent[level]] @ matrices[level]
     if seen < len(nodes):  # the others are below themselves
         raise ValueError(say("nodes_are_no_trees"))
+    return matrices
+
+
+def _own_matrices(nodes: Sequence[Mapping[str, Any]]) -> Floats:
+    """Return the matrices (N,4,4) from nodes to their parents, whether they are given or made of parts."""
+    plain: dict[str, Sequence[float]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+    parts = ([node.get(name, none) for node in nodes] for name, none in plain.items())
+    moves, turns, scales = (np.array(part, np.float64) for part in parts)
+    matrices = _matrices(moves.reshape(-1, 3), turns.reshape(-1, 4), scales.reshape(-1, 3))
+    for place, node in enumerate(nodes):
+        if "matrix" in node:
+            matrices[place] = np.array(node["matrix"], np.float64).reshape(4, 4).T
     return matrices
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
@@ -95,20 +95,20 @@ def _read_gltf(gltf: GltfFile) -> MeshFile:
         clouds = [each for mesh in placed for each in primitives(gltf, mesh, (POINTS,)) if len(each.vertices)]
         points = _gltf_points(clouds, materials) if clouds else None
     modes = {each.get("mode", TRIANGLES) for mesh in placed for each in mesh.primitives}
-    unread = [*_unread(gltf, modes - {POINTS} - {*SURFACES}, bool(surfaces) and POINTS in modes)]
+    unread = [*_unread(gltf, modes, bool(surfaces))]
     notes = (in_row(": ", (gltf.file, say("read_without_these_parts", names=in_row(", ", unread)))),) if unread else ()
     return MeshFile(surfaces, points, (*absent_textures(gltf.file, gltf.absent), *notes))
 
 
-def _unread(gltf: GltfFile, other_modes: Collection[int], points: bool) -> Iterator[str]:
-    """Name what a glTF has and is not read."""
+def _unread(gltf: GltfFile, modes: Set[int], are_surfaces: bool) -> Iterator[str]:
+    """Name what a glTF of primitives of these modes has and is not read."""
     if gltf.tree.get("animations"):
         yield say("part_animations")
     if gltf.tree.get("cameras"):
         yield say("word_cameras")
-    if other_modes:
+    if modes - {POINTS, *SURFACES}:
         yield say("part_lines")
-    if points:
+    if are_surfaces and POINTS in modes:
         yield say("part_points_beside_surface")
     yield from gltf.unread_extensions()
 

@@ -60,8 +60,7 @@ def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
     shown = [_share_there(surface, area, total, rng) for surface, area in zip(surfaces, areas, strict=True)]
     parts = np.array([float(area.sum()) * share for area, share in zip(areas, shown, strict=True)])
     if not 0 < parts.sum() < np.inf:
-        hidden = any(area.any() for area in areas)
-        what = say("mesh_cut_out_everywhere") if hidden else say("mesh_whose_triangles")
+        what = say("mesh_cut_out_everywhere") if 0 < total < np.inf else say("mesh_whose_triangles")
         raise CaptureError("CAPTURE_DEGENERATE", what, file=file)
     clouds = []
     coloured = any(surface.colour_at for surface in surfaces)
