@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
-from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
+from capture2vr.edge.capture.files import Folder, unreadable
 from capture2vr.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
 from capture2vr.edge.capture.units import are_degrees, project_degrees
 from capture2vr.edge.clouds.cloud_parts import (
@@ -73,15 +73,9 @@ _FRAMES = {
 _MESHES = ("off", "stl", "glb", "gltf")
 
 
-def cloud_format(folder: Folder, name: str) -> str | None:
-    """Detect the format of a file from its first bytes: ply, pcd, npy, las, e57, a mesh format, xyz, or None."""
-    path = folder.path(name)
-    with translate_errors(name, "file"), path.open("rb") as stream:
-        return format_by_head(stream.read(SNIFF_BYTES), path.stat().st_size, name)
-
-
 def format_by_head(head: bytes, size: int, name: str) -> str | None:
-    """Detect the format of a file of `size` bytes from the SNIFF_BYTES at its beginning, as `cloud_format`."""
+    """Detect the format of a file of `size` bytes from the SNIFF_BYTES at its beginning: ply, pcd, npy, las, e57, a mesh
+    format, xyz, or None."""
     magic = _by_magic(head)
     if magic is None and is_binary_stl(head, size, named=name.lower().endswith(".stl")):
         return "stl"

@@ -1,78 +1,211 @@
-"""Check glTF files, and rewrite them for trimesh: what it does not read of the format becomes arrays of floats.
-
-trimesh takes normalised integers as they are stored, vertex colours, which are linear light, for sRGB, and the first
-set of texture coordinates without its transform.
-"""
+"""Open glTF files: check what they announce, and read the rows of their accessors as the numbers that are meant."""
 
 from __future__ import annotations
 
 import base64
-import json
 import struct
-from collections.abc import Callable, Mapping
 from typing import Any
-from urllib.parse import unquote
+from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 from numpy.typing import NDArray
 
-from capture2vr.edge.arrays import Floats
-from capture2vr.edge.capture.files import Folder, parse_json, translate_errors, truncated, unreadable
-from capture2vr.edge.clouds.gltf_tree import FAN, POINTS, TRANSFORM, TRIANGLES, used_tree, without_unread
+from capture2vr.edge.arrays import Floats, Ints
+from capture2vr.edge.capture.files import Folder, parse_json, truncated, unreadable
+from capture2vr.edge.capture.images import read_bytes
 from capture2vr.edge.clouds.tables import MAX_POINTS, too_many_points
-from capture2vr.edge.srgb import to_srgb
+from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
-LIGHT = "_LIGHT"
-"""Vertex attribute of a rewritten glTF: its vertex colours (V,3) as linear light in [0,1]."""
-
+MAX_NODES = 5_000  # and edges between them
+MAX_PARTS = 20_000  # primitives, those of a mesh as often as nodes show it: each takes some tenths of a millisecond
+_MOST = {"meshes": MAX_PARTS, "accessors": 100_000, "bufferViews": 100_000, "buffers": 1_000, "scenes": 1_000}
+_MOST |= {"nodes": MAX_NODES, "materials": 5_000, "textures": 5_000, "images": 5_000, "skins": MAX_NODES}
 _GLB_HEADER = 12
 _BIN = b"BIN\0"
-_FLOAT, _INDEX = 5126, 5125
-_KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", _FLOAT: "<f4"}
-_TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_GLOSS = "KHR_materials_pbrSpecularGlossiness"
-_READ_EXTENSIONS = (TRANSFORM, "KHR_mesh_quantization", "EXT_texture_webp", "KHR_lights_punctual", "KHR_xmp_json_ld")
+_KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_READ: tuple[str, ...] = (
+    "KHR_texture_transform",
+    "KHR_mesh_quantization",
+    "EXT_texture_webp",
+    "EXT_mesh_gpu_instancing",
+)
+_READ += ("KHR_node_visibility", "KHR_lights_punctual", "KHR_animation_pointer")
+_READ += (
+    "KHR_xmp_json_ld",
+    "EXT_mesh_features",
+    "EXT_instance_features",
+    "EXT_structural_metadata",
+    "FB_ngon_encoding",
+)
 _SHADING = "KHR_materials_"  # begins the names of extensions that leave shape and base colour as they are
 _UNCOMPRESSED = say("export_gltf_without_compression")
+DRACO = "KHR_draco_mesh_compression"
 _ADVICE = {
-    "KHR_draco_mesh_compression": _UNCOMPRESSED,
+    DRACO: _UNCOMPRESSED,
     "EXT_meshopt_compression": _UNCOMPRESSED,
     "KHR_meshopt_compression": _UNCOMPRESSED,
     "KHR_texture_basisu": say("export_textures_as_jpeg_png"),
 }
 
 
-def plain_gltf(
-    data: bytes, kind: str, folder: Folder, file: str, beside: Mapping[str, bytes]
-) -> tuple[bytes, dict[str, bytes]]:
-    """Check a file of `kind` "glb" or "gltf" and rewrite it -> the JSON of a .gltf, and its buffers by their URIs.
+def too_many_entries(name: str, count: int, most: int, file: str) -> CaptureError:
+    """Return a CAPTURE_TOO_LARGE error for a glTF with so many entries under a name."""
+    return too_complex(say("has_too_many_entries_under", count=count, name=name, most=most), file)
 
-    beside: the files that it refers to. Positions are then numbers as they are meant, TEXCOORD_0 is of the base colour
-    texture, with its transform, and LIGHT has the vertex colours.
-    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
+
+def too_complex(what: str, file: str) -> CaptureError:
+    """Return a CAPTURE_TOO_LARGE error for a scene of too many parts."""
+    return CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(say("join_meshes_scene_into"),))
+
+
+class GltfFile:
+    """An open glTF 2.0.
+
+    tree: its JSON; absent: the URIs of files that were asked for, and are not in the capture
     """
-    if kind == "glb":
-        tree, chunk = _glb_parts(data, file)
-    else:
-        tree, chunk = parse_json(data.decode("utf-8-sig", "replace"), file), b""
-    _check(tree, folder, file)
-    with translate_errors(file, "glTF"):
-        for material in tree.get("materials", []):
-            _take_diffuse(material)
-        tree = used_tree(tree, file)
-        buffers = _Buffers(tree, chunk, beside, file)
-        for mesh in tree["meshes"]:
-            for primitive in mesh["primitives"]:
-                primitive["attributes"] = _plain_attributes(primitive, tree, buffers)
-                if primitive.get("mode") == FAN:
-                    primitive |= {"mode": TRIANGLES, "indices": buffers.add_fan(primitive)}
-        plain = without_unread(tree, sum(map(len, buffers.contents.values())), file)
-        return json.dumps(plain).encode(), buffers.contents
+
+    def __init__(self, folder: Folder, file: str, kind: str) -> None:
+        """Open a file of `kind` "glb" or "gltf", and check its counts, its extensions and the names of its buffers.
+
+        Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
+        """
+        data = read_bytes(folder.path(file), file)
+        if kind == "glb":
+            self.tree, self._chunk = _glb_parts(data, file)
+        else:
+            self.tree, self._chunk = parse_json(data.decode("utf-8-sig", "replace"), file), b""
+        self.file, self._folder = file, folder
+        self.absent: list[str] = []
+        self._left = 3 * MAX_POINTS  # rows: a hostile file has each used by many primitives
+        self._read: dict[str, bytes] = {}  # files and buffers, by their URIs
+        self._rows: dict[int, NDArray[Any]] = {}  # of sparse accessors
+        self._check()
+
+    def _check(self) -> None:
+        tree = self.tree
+        if str(tree.get("asset", {}).get("version", "2.0")).startswith("1.") or isinstance(tree.get("meshes"), dict):
+            raise unreadable(self.file, say("needs_not_supported", name="glTF 1.0"))
+        for name in tree.get("extensionsRequired", []):
+            if name not in _READ and not str(name).startswith(_SHADING):
+                raise self.unsupported(str(name))
+        for name, most in _MOST.items():
+            if (count := len(tree.get(name, []))) > most:
+                raise too_many_entries(name, count, most, self.file)
+        for accessor in tree.get("accessors", []):
+            if int(accessor["count"]) > 3 * MAX_POINTS:
+                raise too_many_points(int(accessor["count"]), self.file)
+        self._check_buffers()
+
+    def _check_buffers(self) -> None:
+        for buffer in self.tree.get("buffers", []):
+            uri = buffer.get("uri", "data:")
+            if not uri.startswith("data:") and self._find(uri) is None:
+                hint = say("send_bin_file_together")
+                raise unreadable(self.file, say("refers_to_missing", name=repr(uri[:120])), hint)
+
+    def unsupported(self, name: str) -> CaptureError:
+        """Return a CAPTURE_UNREADABLE error that the file needs this extension."""
+        advice = _ADVICE.get(name, say("export_gltf_without_extension"))
+        return unreadable(self.file, say("needs_not_supported", name=name[:120]), advice)
+
+    def unread_extensions(self) -> list[str]:
+        """Name the extensions that the file uses and that are not read; what is compressed comes uncompressed too."""
+        used = sorted({str(name)[:120] for name in self.tree.get("extensionsUsed", [])})
+        return [name for name in used if not name.startswith(_SHADING) and name not in (*_READ, *_ADVICE)]
+
+    def entry(self, name: str, index: object) -> dict[str, Any]:
+        """Return an entry of one of the tree's tables. Raises ValueError where there is none."""
+        table = self.tree.get(name, [])
+        if not isinstance(index, int) or not 0 <= index < len(table):
+            raise no_entry(name, index)
+        found: dict[str, Any] = table[index]
+        return found
+
+    def _find(self, uri: str) -> str | None:
+        """Return the name of the file that a URI refers to, or None; `%20` is a space."""
+        return self._folder.find(uri, by=self.file) or self._folder.find(unquote(uri), by=self.file)
+
+    def content(self, uri: str) -> bytes | None:
+        """Read what a URI refers to; None for a file that is not in the capture.
+
+        Raises CAPTURE_UNREADABLE for one outside the capture.
+        """
+        if uri not in self._read:
+            if uri.startswith("data:"):
+                head, _, rest = uri.partition(",")
+                self._read[uri] = base64.b64decode(rest) if head.endswith("base64") else unquote_to_bytes(rest)
+            elif (name := self._find(uri)) is not None:
+                self._read[uri] = read_bytes(self._folder.path(name), name)
+            else:
+                self.absent.append(uri)
+                return None
+        return self._read[uri]
+
+    def view(self, index: object) -> memoryview:
+        """Return the bytes of a buffer view; a buffer without a URI is the GLB's."""
+        view = self.entry("bufferViews", index)
+        uri = self.entry("buffers", view["buffer"]).get("uri")
+        start = view.get("byteOffset", 0)
+        return memoryview(self._chunk if uri is None else self.content(uri) or b"")[start : start + view["byteLength"]]
+
+    def count(self, index: object) -> int:
+        """Return the number of an accessor's rows."""
+        return int(self.entry("accessors", index)["count"])
+
+    def floats(self, index: object, used: Ints | None = None, *, fractions: bool = False) -> Floats:
+        """Read the rows (N,k) of an accessor, or those that are used: normalised integers as the fractions they mean.
+
+        fractions: its integers are fractions whether it says so or not
+        """
+        rows = self.rows(index) if used is None else self.rows(index)[used]
+        self.spend(len(rows))
+        if rows.dtype.kind == "f" or not (fractions or self.entry("accessors", index).get("normalized", False)):
+            return rows.astype(np.float64)
+        return np.maximum(rows / np.iinfo(rows.dtype).max, -1.0)  # glTF 2.0, section 3.6.2.2
+
+    def spend(self, rows: int) -> None:
+        """Count rows that are worked with. Raises CAPTURE_TOO_LARGE when they are too many."""
+        self._left -= rows
+        if self._left < 0:
+            raise too_many_points(3 * MAX_POINTS - self._left, self.file)
+
+    def rows(self, index: object) -> NDArray[Any]:
+        """Return the rows (N,k) of an accessor as they are stored, which is no copy unless they are sparse."""
+        accessor = self.entry("accessors", index)
+        kind, width, count = np.dtype(_KINDS[accessor["componentType"]]), _TYPES[accessor["type"]], accessor["count"]
+        if "sparse" not in accessor:
+            return self._stored(accessor, kind, count, width)
+        number = int(str(index))
+        if number not in self._rows:
+            self.spend(count)
+            sparse, rows = accessor["sparse"], self._stored(accessor, kind, count, width).copy()
+            places = self._stored(
+                sparse["indices"], np.dtype(_KINDS[sparse["indices"]["componentType"]]), sparse["count"], 1
+            )
+            rows[places[:, 0]] = self._stored(sparse["values"], kind, sparse["count"], width)
+            self._rows[number] = rows
+        return self._rows[number]
+
+    def _stored(self, place: dict[str, Any], kind: np.dtype[Any], count: int, width: int) -> NDArray[Any]:
+        """Return the rows (count,width) that begin at a byte offset of a buffer view; zeros where there is no view."""
+        if "bufferView" not in place:
+            return np.broadcast_to(np.zeros(1, kind), (count, width))
+        step = self.entry("bufferViews", place["bufferView"]).get("byteStride", width * kind.itemsize)
+        if step <= 0:
+            raise ValueError(say("bytestride_not_positive"))
+        data = self.view(place["bufferView"])
+        return np.ndarray((count, width), kind, data, place.get("byteOffset", 0), (step, kind.itemsize))
+
+
+def no_entry(name: str, index: object) -> ValueError:
+    """Return the error that a table has no entry of this number."""
+    return ValueError(say("has_no_entry_of_number", name=name, number=str(index)[:40]))
 
 
 def _glb_parts(data: bytes, file: str) -> tuple[dict[str, Any], bytes]:
-    """The JSON chunk of a GLB, parsed, and its binary chunk, which may be missing."""
+    """Return the JSON chunk of a GLB, parsed, and its binary chunk, which may be missing."""
     if len(data) < _GLB_HEADER + 8:
         raise truncated(file, say("cut_off_inside_glb_header"))
     total, length = struct.unpack_from("<I", data, 8)[0], struct.unpack_from("<I", data, _GLB_HEADER)[0]
@@ -81,6 +214,8 @@ def _glb_parts(data: bytes, file: str) -> tuple[dict[str, Any], bytes]:
         raise truncated(file, say("cut_off_header_announces", what=what))
     at = _GLB_HEADER + 8 + length
     tree = parse_json(data[_GLB_HEADER + 8 : at].decode("utf-8", "replace"), file)
+    if data[4] == 1:
+        return tree, b""  # refused by its version
     while at + 8 <= len(data):
         size, name = struct.unpack_from("<I4s", data, at)
         if at + 8 + size > len(data):
@@ -89,197 +224,3 @@ def _glb_parts(data: bytes, file: str) -> tuple[dict[str, Any], bytes]:
             return tree, data[at + 8 : at + 8 + size]
         at += 8 + size
     return tree, b""
-
-
-def _check(tree: dict[str, Any], folder: Folder, file: str) -> None:
-    """Refuse a glTF with too large counts, extensions that are not read, or buffer files that are missing or outside.
-
-    trimesh would allocate memory or open the files before it notices.
-    """
-    with translate_errors(file, "glTF"):
-        for name in tree.get("extensionsRequired", []):
-            if name not in _READ_EXTENSIONS and not str(name).startswith(_SHADING):
-                advice = _ADVICE.get(name, say("export_gltf_without_extension"))
-                raise unreadable(file, say("needs_not_supported", name=str(name)[:120]), advice)
-        for accessor in tree.get("accessors", []):
-            if int(accessor["count"]) > 3 * MAX_POINTS:
-                raise too_many_points(int(accessor["count"]), file)
-        unbacked = sum(int(accessor["count"]) for accessor in tree.get("accessors", []) if "bufferView" not in accessor)
-        if unbacked > MAX_POINTS:  # zeros that need no bytes in the file
-            raise too_many_points(unbacked, file)
-        _check_buffers(tree, folder, file)
-
-
-def _check_buffers(tree: dict[str, Any], folder: Folder, file: str) -> None:
-    """Refuse a glTF whose buffer files are missing or outside."""
-    for buffer in tree.get("buffers", []):
-        uri = buffer.get("uri", "data:")
-        if not uri.startswith("data:") and find_uri(folder, file, uri) is None:
-            hint = say("send_bin_file_together")
-            raise unreadable(file, say("refers_to_missing", name=repr(uri[:120])), hint)
-
-
-def find_uri(folder: Folder, file: str, uri: str) -> str | None:
-    """Return the name of the file that a URI in a mesh file refers to, or None; `%20` is a space.
-
-    Raises CAPTURE_UNREADABLE for one outside the capture.
-    """
-    return folder.find(uri, by=file) or folder.find(unquote(uri), by=file)
-
-
-class _Buffers:
-    """Reads the accessors of a glTF, and adds accessors of floats to its tree, each with a buffer of its own.
-
-    contents: all buffers by URIs that no file can have
-    """
-
-    def __init__(self, tree: dict[str, Any], chunk: bytes, beside: Mapping[str, bytes], file: str) -> None:
-        self._tree, self._file = tree, file
-        self._left = 3 * MAX_POINTS  # rows of new accessors: a hostile file has each row used by many primitives
-        self._added: dict[tuple[int, str], int] = {}
-        self.contents: dict[str, bytes] = {}
-        for table in ("buffers", "bufferViews", "accessors"):
-            tree.setdefault(table, [])
-        read: dict[str | None, bytes] = {None: chunk}  # a buffer without a URI is the GLB's
-        for buffer in tree["buffers"]:
-            uri = buffer.get("uri")
-            if uri not in read:
-                read[uri] = base64.b64decode(uri.partition("base64,")[2]) if "base64," in uri else beside[uri]
-            buffer["uri"] = self._keep(read[uri])
-
-    def _keep(self, content: bytes) -> str:
-        uri = f"\0{len(self.contents)}"
-        self.contents[uri] = content
-        return uri
-
-    def is_plain(self, index: int) -> bool:
-        """Whether trimesh reads an accessor as it is meant."""
-        accessor = self._tree["accessors"][index]
-        return not accessor.get("normalized", False) and "sparse" not in accessor
-
-    def add(self, index: int, name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> int:
-        """Add what `change`, called `name`, makes of an accessor's rows (N,k); return the index of the new accessor.
-
-        Normalised integers come to it as the fractions that they mean.
-        """
-        if (index, name) not in self._added:
-            with np.errstate(over="ignore", invalid="ignore"):
-                rows = self._rows(index)
-                if self._tree["accessors"][index].get("normalized", False):
-                    rows = _unit(rows)
-                rows = np.ascontiguousarray(change(rows), "<f4")
-            self._added[index, name] = self._keep_accessor(rows, _FLOAT, f"VEC{rows.shape[1]}")
-        return self._added[index, name]
-
-    def add_fan(self, primitive: dict[str, Any]) -> int:
-        """Add the indices of the triangles of a fan; return the index of their accessor."""
-        if "indices" in primitive:
-            corners = self._rows(primitive["indices"])[:, 0]
-        else:
-            corners = np.arange(self._tree["accessors"][primitive["attributes"]["POSITION"]]["count"])
-        inner = np.arange(1, max(1, len(corners) - 1))
-        triangles = np.ascontiguousarray(corners[np.stack([0 * inner, inner, inner + 1], axis=1)], "<u4")
-        return self._keep_accessor(triangles.reshape(-1, 1), _INDEX, "SCALAR")
-
-    def _keep_accessor(self, rows: NDArray[Any], component: int, kind: str) -> int:
-        """Add an accessor of rows, with a buffer of their own; return its index."""
-        view = {"buffer": len(self._tree["buffers"]), "byteLength": rows.nbytes}
-        place = {"bufferView": len(self._tree["bufferViews"]), "count": len(rows), "componentType": component}
-        self._tree["buffers"].append({"uri": self._keep(rows.tobytes()), "byteLength": rows.nbytes})
-        self._tree["bufferViews"].append(view)
-        self._tree["accessors"].append(place | {"type": kind})
-        return len(self._tree["accessors"]) - 1
-
-    def _rows(self, index: int) -> NDArray[Any]:
-        """The rows (N,k) of an accessor, as they are stored."""
-        accessor = self._tree["accessors"][index]
-        kind, width, count = np.dtype(_KINDS[accessor["componentType"]]), _TYPES[accessor["type"]], accessor["count"]
-        self._left -= count
-        if self._left < 0:
-            raise too_many_points(3 * MAX_POINTS - self._left, self._file)
-        rows = (
-            self._stored(accessor, kind, count, width) if "bufferView" in accessor else np.zeros((count, width), kind)
-        )
-        if "sparse" not in accessor:
-            return rows
-        sparse, rows = accessor["sparse"], rows.copy()  # some rows replace those of the buffer, or zeros
-        places = np.dtype(_KINDS[sparse["indices"]["componentType"]])
-        replaced = self._stored(sparse["indices"], places, sparse["count"], 1)[:, 0]
-        rows[replaced] = self._stored(sparse["values"], kind, sparse["count"], width)
-        return rows
-
-    def _stored(self, place: dict[str, Any], kind: np.dtype[Any], count: int, width: int) -> NDArray[Any]:
-        """The rows (count,width) that begin at a byte offset of a buffer view."""
-        view = self._tree["bufferViews"][place["bufferView"]]
-        start, step = view.get("byteOffset", 0), view.get("byteStride", width * kind.itemsize)
-        if step <= 0:
-            raise ValueError(say("bytestride_not_positive"))
-        data = memoryview(self.contents[self._tree["buffers"][view["buffer"]]["uri"]])
-        data = data[start : start + view["byteLength"]]
-        return np.ndarray((count, width), kind, data, place.get("byteOffset", 0), (step, kind.itemsize))
-
-
-def _plain_attributes(primitive: dict[str, Any], tree: dict[str, Any], buffers: _Buffers) -> dict[str, int]:
-    """The attributes that are used of a primitive: POSITION, and TEXCOORD_0 and LIGHT where it has them; of points
-    COLOR_0, in sRGB."""
-    attributes: dict[str, int] = primitive["attributes"]
-    position = attributes["POSITION"]
-    is_plain = buffers.is_plain(position)
-    plain = {"POSITION": position if is_plain else buffers.add(position, "as meant", lambda rows: rows)}
-    material = tree["materials"][primitive["material"]] if "material" in primitive else {}
-    texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
-    if texture is not None:
-        uv = attributes.get(f"TEXCOORD_{texture['texCoord']}")
-        if uv is not None:
-            plain["TEXCOORD_0"] = _plain_uv(uv, texture["transform"], buffers)
-    if "COLOR_0" in attributes and primitive.get("mode") == POINTS:  # trimesh keeps no attributes of points
-        plain["COLOR_0"] = buffers.add(attributes["COLOR_0"], "sRGB", lambda rows: to_srgb(_light(rows)) / 255)
-    elif "COLOR_0" in attributes:
-        plain[LIGHT] = buffers.add(attributes["COLOR_0"], "light", _light)
-    return plain
-
-
-def _plain_uv(uv: int, transform: dict[str, Any], buffers: _Buffers) -> int:
-    """The accessor of texture coordinates that need no transform: `uv` itself, or a new one."""
-    if buffers.is_plain(uv) and not transform:
-        return uv
-    return buffers.add(uv, f"uv {json.dumps(transform)}", lambda rows: _transformed(rows, transform))
-
-
-def _unit(rows: NDArray[Any]) -> Floats:
-    """Scale integers to [0,1], signed ones to [-1,1], as the format's section 3.6.2.2 says; floats stay."""
-    if rows.dtype.kind == "f":
-        return rows
-    floats: Floats = np.maximum(rows / np.float32(np.iinfo(rows.dtype).max), np.float32(-1))
-    return floats
-
-
-def _light(rows: NDArray[Any]) -> Floats:
-    """Linear light (N,3) in [0,1] of COLOR_0 with or without alpha; its integers are always normalised."""
-    if rows.shape[1] < 3:
-        raise ValueError(say("vertex_colours_have_fewer_than"))
-    return np.clip(np.nan_to_num(_unit(rows[:, :3])), 0, 1)
-
-
-def _transformed(uv: NDArray[Any], transform: dict[str, Any]) -> Floats:
-    """Transform texture coordinates (N,2) by KHR_texture_transform: scale, then rotate, then move them.
-
-    Counter-clockwise where v runs down, as in the picture: the extension's GLSL turns the other way, its example and
-    the viewers do not.
-    """
-    scale = np.asarray(transform.get("scale", (1, 1)), np.float64).reshape(2)
-    offset = np.asarray(transform.get("offset", (0, 0)), np.float64).reshape(2)
-    turn = float(transform.get("rotation", 0))
-    c, s = np.cos(turn), np.sin(turn)
-    moved: Floats = (uv[:, :2] * scale) @ np.array([[c, -s], [s, c]]) + offset
-    return moved
-
-
-def _take_diffuse(material: dict[str, Any]) -> None:
-    """Make the diffuse colour and texture of an older material (specular and glossiness) the base colour."""
-    gloss = material.get("extensions", {}).pop(_GLOSS, None)
-    if gloss is not None:
-        base = {"baseColorFactor": gloss.get("diffuseFactor", [1.0] * 4)}
-        if "diffuseTexture" in gloss:
-            base["baseColorTexture"] = gloss["diffuseTexture"]
-        material["pbrMetallicRoughness"] = base

@@ -23,8 +23,7 @@ from capture2vr.edge.capture.images import check_header, header_size, read_bytes
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.capture.text_encoding import decode_text
 from capture2vr.edge.clouds.colours import read_colours
-from capture2vr.edge.clouds.mtl import Material, read_mtl
-from capture2vr.edge.clouds.obj_colours import ObjColours
+from capture2vr.edge.clouds.obj_materials import Material, ObjColours, read_mtl
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
 from capture2vr.edge.clouds.surface_colours import TexturePixels, absent_textures
 from capture2vr.edge.errors import CaptureError

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from capture2vr.edge.arrays import Bytes, Floats, Ints
 from capture2vr.edge.capture.nouns import Cloud
@@ -18,15 +20,23 @@ SEED = 0  # of the random generator: the same mesh always gives the same points
 
 ColourAt = Callable[[Ints, Floats], Bytes]
 """Triangle indices (N,) and barycentric weights (N,3) -> (N,3) uint8 sRGB."""
+IsThere = Callable[[Ints, Floats], NDArray[np.bool_]]
+"""Triangle indices (N,) and barycentric weights (N,3) -> (N,): whether the surface is there, or cut out."""
+_PROBES = 50  # least points by which the share of a surface that is there is told
+_MOST_DRAWN = 10  # times the points that are kept, where little of a surface is there
 
 
 @dataclass(frozen=True, slots=True)
 class SampledSurface:
-    """Triangles to sample: vertices (V,3) in the capture frame, faces (F,3), and a function for colours, if any."""
+    """Triangles to sample: vertices (V,3) in the capture frame, faces (F,3), and a function for colours, if any.
+
+    is_there: where the surface is cut out, as leaves are of their quads
+    """
 
     vertices: Floats
     faces: Ints
     colour_at: ColourAt | None = None
+    is_there: IsThere | None = None
 
 
 def too_many_faces(count: int, file: str) -> CaptureError:
@@ -38,33 +48,41 @@ def too_many_faces(count: int, file: str) -> CaptureError:
 def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
     """Sample SAMPLES points on all surfaces together, uniform by area, with face normals and, if any has them, colours.
 
-    A triangle with a coordinate that is not finite counts as area 0. Raises CAPTURE_DEGENERATE for a total area of 0.
+    About as many where surfaces are cut out. A triangle with a coordinate that is not finite counts as area 0.
+    Raises CAPTURE_DEGENERATE where nothing has an area.
     """
     corners = [surface.vertices[surface.faces].astype(np.float64) for surface in surfaces]
     with np.errstate(invalid="ignore", over="ignore"):
         crosses = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in corners]
         areas = [np.nan_to_num(np.linalg.norm(cross, axis=1), nan=0, posinf=0) for cross in crosses]
-    total = sum(float(area.sum()) for area in areas)
-    if not 0 < total < np.inf:
-        raise CaptureError("CAPTURE_DEGENERATE", say("mesh_whose_triangles"), file=file)
     rng = np.random.default_rng(SEED)
+    total = sum(float(area.sum()) for area in areas)
+    shown = [_share_there(surface, area, total, rng) for surface, area in zip(surfaces, areas, strict=True)]
+    parts = np.array([float(area.sum()) * share for area, share in zip(areas, shown, strict=True)])
+    if not 0 < parts.sum() < np.inf:
+        what = say("mesh_cut_out_everywhere") if 0 < total < np.inf else say("mesh_whose_triangles")
+        raise CaptureError("CAPTURE_DEGENERATE", what, file=file)
     clouds = []
     coloured = any(surface.colour_at for surface in surfaces)
-    for surface, c, cross, area, count in zip(
-        surfaces, corners, crosses, areas, _shares(areas, total, rng), strict=True
-    ):
+    counts = rng.multinomial(SAMPLES, parts / parts.sum())  # in proportion to what is there
+    for surface, c, cross, area, count, share in zip(surfaces, corners, crosses, areas, counts, shown, strict=True):
         if count:
-            triangle = _pick(area, count, rng)
+            triangle = _pick(area, math.ceil(count * min(_MOST_DRAWN, 1 / share)), rng)
             clouds.append(
                 _points(surface, c[triangle], cross[triangle] / area[triangle, None], triangle, coloured, rng)
             )
     return _concatenate(clouds)
 
 
-def _shares(areas: list[Floats], total: float, rng: np.random.Generator) -> list[int]:
-    """Distribute SAMPLES over the surfaces at random, in proportion to their areas."""
-    parts = np.array([float(area.sum()) for area in areas]) / total
-    return [int(count) for count in rng.multinomial(SAMPLES, parts / parts.sum())]
+def _share_there(surface: SampledSurface, area: Floats, total: float, rng: np.random.Generator) -> float:
+    """Return which share of a surface's area is there: 1 unless it is cut out. A larger one is looked at more closely.
+
+    total: area of all surfaces
+    """
+    if surface.is_there is None or not 0 < total < np.inf or not area.any():
+        return 1.0
+    probes = _PROBES + int(SAMPLES * float(area.sum()) / total)
+    return float(surface.is_there(_pick(area, probes, rng), _barycentric(probes, rng)).mean())
 
 
 def _pick(area: Floats, count: int, rng: np.random.Generator) -> Ints:
@@ -76,8 +94,11 @@ def _pick(area: Floats, count: int, rng: np.random.Generator) -> Ints:
 def _points(
     surface: SampledSurface, corners: Floats, normals: Floats, triangle: Ints, coloured: bool, rng: np.random.Generator
 ) -> Cloud:
-    """Sample one point in each triangle of `corners` (N,3,3); white where the surface has no colours."""
+    """Sample one point in each triangle of `corners` (N,3,3), where it is there; white where it has no colours."""
     weights = _barycentric(len(triangle), rng)
+    if surface.is_there is not None:
+        there = surface.is_there(triangle, weights)
+        corners, normals, triangle, weights = corners[there], normals[there], triangle[there], weights[there]
     xyz = np.einsum("nc,ncd->nd", weights, corners)
     rgb = None
     if coloured:

@@ -54,10 +54,14 @@ def face_colours(rgb: Bytes) -> ColourAt:
 
 def nearest_texels(pixels: Bytes, uv: Floats) -> Bytes:
     """Look up the nearest texel at uv (N,2), with repeat wrapping; v 0 is the picture's lower edge."""
+    return texels_at(pixels, np.nan_to_num(uv[:, 0]) % 1.0, 1.0 - np.nan_to_num(uv[:, 1]) % 1.0)
+
+
+def texels_at(pixels: Bytes, x: Floats, y: Floats) -> Bytes:
+    """Look up the texels at x and y (N,) in [0,1] of a picture's sides, from its upper left corner."""
     height, width = pixels.shape[:2]
-    u, v = np.nan_to_num(uv[:, 0]) % 1.0, 1.0 - np.nan_to_num(uv[:, 1]) % 1.0
-    columns = np.minimum((u * width).astype(np.int64), width - 1)
-    rows = np.clip((v * height).astype(np.int64), 0, height - 1)
+    columns = np.minimum((x * width).astype(np.int64), width - 1)
+    rows = np.minimum((y * height).astype(np.int64), height - 1)
     texels: Bytes = pixels[rows, columns]
     return texels
 

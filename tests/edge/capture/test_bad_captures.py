@@ -23,6 +23,7 @@ from capture2vr.edge.capture.images import MAX_PIXELS, header_size
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
+from tests.support.gltf_files import posed_glb
 
 XYZ, RGB, NORMALS = captures.sphere()
 LINE = np.outer(np.linspace(0, 1, 300), [1.0, 2.0, 3.0]).astype(np.float32)
@@ -605,8 +606,9 @@ def test_odd_values_in_metadata_are_read_or_named(kind: str, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_odd_values_in_a_gltf_are_read_or_named(tmp_path: Path) -> None:
-    data = coloured_glb()
+@pytest.mark.parametrize("make", [coloured_glb, posed_glb])
+def test_odd_values_in_a_gltf_are_read_or_named(make: Callable[[], bytes], tmp_path: Path) -> None:
+    data = make()
     length = int.from_bytes(data[12:16], "little")
     tree, chunk = json.loads(data[20 : 20 + length]), data[28 + length :]
     rng = np.random.default_rng(3)

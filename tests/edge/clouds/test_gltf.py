@@ -320,10 +320,10 @@ def test_extensions_that_change_the_shading_alone_are_read() -> None:
     assert len(cloud_of(captures.glb_bytes({"POSITION": VERTICES}, FACES, required=names)).xyz)
 
 
-def test_the_rows_of_new_accessors_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many primitives may use one accessor, each with another transform."""
-    monkeypatch.setattr("capture2vr.edge.clouds.gltf.MAX_POINTS", 100)
-    attributes = {"POSITION": VERTICES[:250].astype(np.int16), "COLOR_0": np.ones((250, 3), np.float32)}
-    with pytest.raises(CaptureError, match="has 500 points") as caught:
-        cloud_of(captures.glb_bytes(attributes, FACES[:1], normalised=("POSITION",)))
+def test_the_rows_that_are_read_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many primitives may use one accessor."""
+    monkeypatch.setattr("capture2vr.edge.clouds.gltf.MAX_POINTS", 250)
+    attributes = {"POSITION": VERTICES, "COLOR_0": np.ones((len(VERTICES), 3), np.float32)}
+    with pytest.raises(CaptureError, match="has 1,284 points") as caught:
+        cloud_of(with_mode(captures.glb_bytes(attributes, FACES[:1]), 4, indices=None))
     assert caught.value.code == "CAPTURE_TOO_LARGE"
