@@ -74,8 +74,8 @@ _MESHES = ("off", "stl", "glb", "gltf")
 
 
 def format_by_head(head: bytes, size: int, name: str) -> str | None:
-    """Detect the format of a file of `size` bytes from the SNIFF_BYTES at its beginning: ply, pcd, npy, las, e57, a mesh
-    format, xyz, or None."""
+    """Detect the format of a file of `size` bytes by the SNIFF_BYTES at its beginning: ply, pcd, npy, las, e57, one of
+    a mesh, xyz, or None."""
     magic = _by_magic(head)
     if magic is None and is_binary_stl(head, size, named=name.lower().endswith(".stl")):
         return "stl"
