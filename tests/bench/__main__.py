@@ -37,6 +37,7 @@ BENCHES = {
 ON_DEMAND = {
     "splats": "Gaussian splats beside the mesh that they cover: likeness to held-out photos, bytes",
     "formats": "which programs read what is downloaded: Blender, Godot, Babylon.js, glTF-Transform, usd-core, trimesh",
+    "readers": "public test files of other projects: read as others read them, refused by name, crashed",
     "scenes": "flats of 1 to 64 million points by tiles: time over area, memory, distance from the truth; resumable",
     "walkthrough": "a new user's way on a phone-sized page, each step with its picture",
     "rgbd-walk": "RGB-D walks of 500 and 2,000 frames through a flat: time, memory, distance; --track: drift",

@@ -86,7 +86,7 @@ def format_by_head(head: bytes, size: int, name: str) -> str | None:
 
 def _by_magic(head: bytes) -> str | None:
     """Return the format that a magic number or a PCD header identifies, or None."""
-    if re.match(rb"ply\r?\n", head):
+    if re.match(rb"ply[ \t]*\r?\n", head):
         return "ply"
     for magic, name in ((b"\x93NUMPY", "npy"), (b"LASF", "las"), (b"ASTM-E57", "e57"), (b"glTF", "glb")):
         if head.startswith(magic):

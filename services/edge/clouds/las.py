@@ -24,6 +24,8 @@ from capture2vr.sentences.sentence import say
 _CHUNK_BYTES = 64 * 2**20  # of records decoded at a time: a truncated file fails before all points are allocated
 _HEADER_BYTES = 227  # of LAS 1.2
 _VLR_HEADER_BYTES = 54
+_MOST_HEAD = 1 << 20  # bytes in which LASzip's own record is looked for
+_LASZIP, _POINT_BY_POINT = b"laszip encoded", b"\x01\x00"  # its user id, and the compressor of before 2011
 _MAX_RECORD_BYTES = 1024  # the largest standard point has 67 bytes; the rest is room for extra dimensions
 _COMPRESSED = 0x80  # bit of the point format that marks LAZ
 
@@ -102,11 +104,14 @@ def _check_header(path: Path, file: str, most: int = MAX_POINTS) -> bool:
 
 
 def _check_chunk_table(path: Path, offset: int, size: int, file: str) -> None:
-    """Raise CAPTURE_TRUNCATED when a LAZ ends before its chunk table.
+    """Raise CAPTURE_TRUNCATED when a LAZ ends before its chunk table, CAPTURE_UNREADABLE when it is too old for one.
 
     The 8 bytes before the points are the offset of the table, which comes after them; -1: it is in the last 8 bytes.
     """
     with path.open("rb") as stream:
+        head = stream.read(min(offset, _MOST_HEAD))
+        if (at := head.find(_LASZIP)) >= 0 and head[at + _VLR_HEADER_BYTES - 2 :][:2] == _POINT_BY_POINT:
+            raise unreadable(file, say("laz_point_by_point"), say("compress_laz_again"))
         stream.seek(offset)
         (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
     if table != -1 and not offset < table <= size - 8:

@@ -21,11 +21,12 @@ from capture2vr.edge.arrays import Floats, Ints, Tick
 from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
 from capture2vr.edge.capture.images import check_header, header_size, read_bytes
 from capture2vr.edge.capture.nouns import Cloud
-from capture2vr.edge.capture.text_encoding import decode_text
+from capture2vr.edge.capture.text_encoding import decode_text, encoding_of
 from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.obj_materials import Material, ObjColours, read_mtl
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
 from capture2vr.edge.clouds.surface_colours import TexturePixels, absent_textures
+from capture2vr.edge.clouds.table_rows import NO_NUMBER
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.mesh.polygons import triangulate
 from capture2vr.sentences.sentence import say
@@ -34,6 +35,7 @@ MAX_MATERIALS = 500  # scanners write tens; a large texture takes a second to de
 MAX_LIBRARIES = 100  # files of materials; programs write one, or one for each part that was joined
 _MAX_LINE = 2**20  # bytes: a polygon of a hundred thousand corners
 _PACKED = 200_000  # rows or faces that wait as words before they become numbers: words take ten times as much memory
+_HEAD = 2**12  # bytes by which the encoding is told
 _TICK = 100_000  # lines between calls of the folder's tick
 
 
@@ -53,7 +55,11 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     """
     reader = _Reader(file)
     with translate_errors(file, "OBJ"):
-        reader.read(read_bytes(folder.path(file), file), folder.tick)
+        data = read_bytes(folder.path(file), file)
+        encoding, mark = encoding_of(data[:_HEAD])
+        if encoding.startswith("utf-16"):
+            data = data[mark:].decode(encoding, "replace").encode()
+        reader.read(data, folder.tick)
         vertices, coordinates = reader.vertices.array(), reader.coordinates.array()
         faces, uv_faces, material = reader.triangles(vertices[:, :3], len(coordinates))
     if len(vertices) == 0:
@@ -229,7 +235,10 @@ def _numbers(words: list[bytes], kind: type[np.float64 | np.int64]) -> NDArray[A
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # what NumPy says of text that is no number
         try:
-            numbers = np.fromstring(b" ".join(words), kind, sep=" ")
+            text = b" ".join(words)
+            if b"#" in text:
+                text = NO_NUMBER.sub("nan", text.decode("latin-1")).encode()
+            numbers = np.fromstring(text, kind, sep=" ")
         except DeprecationWarning:
             numbers = np.zeros(0, kind)
     if len(numbers) != len(words):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from capture2vr.edge.arrays import Floats, Ints
 from capture2vr.edge.capture.files import truncated, unreadable
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, too_many_faces
+from capture2vr.edge.clouds.table_rows import NO_NUMBER
 from capture2vr.edge.mesh.polygons import triangulate
 from capture2vr.sentences.sentence import say
 
@@ -177,6 +178,8 @@ def _gather(data: bytes, places: Ints, kind: np.dtype[Any], count: int) -> NDArr
 def ascii_records(rows: Sequence[str], element: PlyElement, file: str) -> Records:
     """Read the lines of an element; scalars as float64, exact for all types, then cast, so that colours keep theirs."""
     scalars = [item for item in element.properties if not item.count_kind]
+    if any("#" in row for row in rows):
+        rows = [NO_NUMBER.sub("nan", row) for row in rows]
     polygons: list[tuple[Ints, Ints]] = []
     if element.has_list:
         table, polygons = _ascii_lists(rows, element)
@@ -213,7 +216,7 @@ def _ascii_lists(rows: Sequence[str], element: PlyElement) -> tuple[NDArray[Any]
                 of_length[0].append(number)
                 of_length[1].append([int(field) for field in fields[at - count : at]])
         scalars.append(found)
-    table = np.array(scalars, np.float64).reshape(len(rows), -1)
+    table = np.array(scalars, np.float64).reshape(len(rows), sum(not item.count_kind for item in element.properties))
     return table, [
         (np.array(lines, np.int64), np.array(values, np.int64).reshape(len(lines), -1))
         for lines, values in groups.values()

@@ -12,7 +12,8 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.clouds.table_dialect import Dialect, is_content
 
 _BLOCK = 500  # lines that are read one by one where one of them is odd
-_NO_NUMBER = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.I)
+NO_NUMBER = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.I)
+"""What programs write in place of a number that is none: 1.#IND by Microsoft's compiler, nan(ind) by others."""
 """What Microsoft's C library prints for NaN and infinity."""
 
 
@@ -33,7 +34,7 @@ class RowReader:
 
     def read(self, text: str) -> Floats:
         """Return the numbers (N, used) of the rows in a piece of the table; NaN where one is missing."""
-        text = _NO_NUMBER.sub("nan", text) if "#" in text or "(" in text else text
+        text = NO_NUMBER.sub("nan", text) if "#" in text or "(" in text else text
         lines = text.split("\n")
         if (whole := self._fast(lines)) is not None:
             return whole

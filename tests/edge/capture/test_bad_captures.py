@@ -65,6 +65,14 @@ def coloured_glb() -> bytes:
     )
 
 
+def old_laz() -> bytes:
+    """Compressed point by point, as LASzip's record says: its user id, then 50 bytes, then the compressor."""
+    data = bytearray(las_bytes(".laz"))
+    at = data.index(b"laszip encoded") + 52
+    data[at : at + 2] = b"\1\0"
+    return bytes(data)
+
+
 def hostile_laz() -> bytes:
     """A chunk table that makes the decoder allocate 32 GiB, at which it ends its process."""
     data = bytearray(las_bytes(".laz"))
@@ -117,6 +125,7 @@ SINGLE: dict[str, tuple[str, str, Callable[[], bytes]]] = {
     ),
     "cut LAS": ("CAPTURE_TRUNCATED", "scan.las", lambda: las_bytes(".las")[:-50]),
     "cut LAZ": ("CAPTURE_TRUNCATED", "scan.laz", lambda: las_bytes(".laz")[:-200]),
+    "LAZ of before 2011": ("CAPTURE_UNREADABLE", "scan.laz", old_laz),
     "LAZ of 2^31 chunks": ("CAPTURE_UNREADABLE", "scan.laz", hostile_laz),
     "LAS header alone": ("CAPTURE_TRUNCATED", "scan.las", lambda: las_bytes(".las")[:100]),
     "cut npy": ("CAPTURE_TRUNCATED", "scan.npy", lambda: captures.npy_bytes(XYZ)[:-4]),

@@ -179,6 +179,19 @@ def test_relative_indices_are_those_before_the_face(chosen: list[set[int]], bloc
             np.testing.assert_array_equal(corners_of(parse(Path(folder), "\n".join(lines))), triangles)
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
+def test_a_text_of_any_encoding_is_read(encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_bytes(("# Würfel\n" + CORNERS + "f 1 2 3\n").encode(encoding))
+    found = read_obj(open_folder(tmp_path), "a.obj")
+    assert len(found.vertices.xyz) == CORNERS.count("v ")
+
+
+def test_what_stands_for_no_number_is_one_that_is_not_finite(tmp_path: Path) -> None:
+    found = parse(tmp_path, "v 1.#IND -1.#INF nan # none\n" + CORNERS + "f 2 3 4\n")
+    assert np.isnan(found.vertices.xyz[0]).all()
+    assert np.isfinite(corners_of(found)).all()
+
+
 @pytest.mark.parametrize(
     ("text", "code", "reason"),
     [
