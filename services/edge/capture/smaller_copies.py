@@ -21,11 +21,11 @@ from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say
 
 _SIDE = 32  # pixels of the pictures that are compared
-_ALIKE = (
-    8.0  # mean difference of their greys, of 255; a copy as a small JPEG is off by 2, the next photo by 20 and more
-)
+_ALIKE = 8.0
+"""Mean difference of their greys, of 255: a copy as a small JPEG is off by 2, the next photo by 20 and more."""
 _COMPARED = 3  # photos of two folders
-_MOST_PAIRS = 100  # of folders that are compared: each takes up to half a second
+_MOST_SERIES = 100  # of pictures of one folder and suffix
+_MOST_PAIRS = 20  # of folders that are compared: each takes up to half a second
 
 _Series = Mapping[str, str]
 """Pictures of one folder and suffix: stem -> name."""
@@ -50,7 +50,7 @@ def without_copies(folder: Folder, names: Sequence[str]) -> tuple[list[str], tup
 
 def _sharing(series: list[dict[str, str]]) -> Iterator[tuple[_Series, _Series]]:
     """Yield the pairs of series that have pictures of the same names."""
-    return ((one, other) for one, other in combinations(series[:_MOST_PAIRS], 2) if not one.keys().isdisjoint(other))
+    return ((one, other) for one, other in combinations(series[:_MOST_SERIES], 2) if not one.keys().isdisjoint(other))
 
 
 def _by_size(folder: Folder, one: _Series, other: _Series) -> tuple[_Series, _Series]:

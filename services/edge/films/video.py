@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from capture2vr.edge.arrays import Bytes
 from capture2vr.edge.capture.files import translate_errors
 from capture2vr.edge.capture.images import broken_image
+from capture2vr.edge.films.tone_map import is_hdr, srgb_of
 from capture2vr.edge.films.video_streams import FrameIndex, Skip, VideoStream, decode_packet, open_video, read_index
 from capture2vr.sentences.sentence import say
 
@@ -83,7 +82,7 @@ class VideoFrames:
             frame = self._frame(stamps[index]) if index < len(stamps) else None
             if frame is None:
                 raise broken_image(self.file, say("ends_before_frame", index=index))
-            return np.ascontiguousarray(frame.to_ndarray(format="rgb24"))
+            return srgb_of(frame)
 
     def at(self, stamp: int, size: tuple[int, int]) -> Bytes:
         """Decode the frame with this stamp to (H,W,3) uint8 sRGB, scaled to `size` = (width, height)."""
@@ -93,8 +92,7 @@ class VideoFrames:
                 frame = self._frame(stamp)
             if frame is None:
                 raise broken_image(self.file, say("has_frame_cannot_be_decoded"))
-            scaled = frame.reformat(*size, format="rgb24", interpolation="AREA")
-            return np.ascontiguousarray(scaled.to_ndarray())
+            return srgb_of(frame, size)
 
     def _read_index(self) -> FrameIndex:
         if self._index is None:
@@ -152,7 +150,9 @@ class VideoFrames:
 
 
 def _small(frame: Any) -> Any:
-    """Return a copy of a frame for the cache: at most _CACHED_PX along the longer side, 12 bits per pixel."""
+    """Return a copy of a frame for the cache: at most _CACHED_PX along the longer side, 12 bits per pixel, 24 of a film
+    of high dynamic range."""
     shrink = max(1.0, max(frame.width, frame.height) / _CACHED_PX)
     width, height = (max(1, round(side / shrink)) for side in (frame.width, frame.height))
-    return frame.reformat(width, height, format="yuv420p", interpolation="AREA")
+    form = "yuv420p10le" if is_hdr(frame) else "yuv420p"
+    return frame.reformat(width, height, format=form, interpolation="AREA")
