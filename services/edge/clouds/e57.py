@@ -98,10 +98,39 @@ def iter_points(path: Path) -> Iterator[tuple[Floats, NDArray[Any] | None]]:
 
 
 def _read_scan(reader: Any, number: int) -> dict[str, NDArray[Any]]:
-    """Read one scan's valid points, moved by its pose; without colours where they do not fit 8 bits."""
-    from pye57.libe57 import E57Exception
+    """Read one scan's valid points, moved by its pose, with colours of 0 to 255 where it has any."""
+    from pye57 import e57
 
-    try:
-        return dict(reader.read_scan(number, colors=True, ignore_missing_fields=True))
-    except E57Exception:
+    limits = _colour_limits(reader.get_header(number))
+    if limits is None:
         return dict(reader.read_scan(number, ignore_missing_fields=True))
+    usual = {channel: e57.SUPPORTED_POINT_FIELDS[channel] for channel in _CHANNELS}
+    wide = any((low, high) != (0, 255) for low, high in limits)
+    try:
+        e57.SUPPORTED_POINT_FIELDS |= dict.fromkeys(_CHANNELS, "d") if wide else {}  # pye57 reads bytes alone
+        scan = dict(reader.read_scan(number, colors=True, ignore_missing_fields=True))
+    finally:
+        e57.SUPPORTED_POINT_FIELDS |= usual
+    for channel, (low, high) in zip(_CHANNELS, limits, strict=True):
+        if wide:
+            scan[channel] = np.clip(np.rint((scan[channel] - low) * (255 / (high - low))), 0, 255).astype(np.uint8)
+    return scan
+
+
+def _colour_limits(header: Any) -> list[tuple[float, float]] | None:
+    """Return the least and the greatest value that each colour of a scan can have, by its `colorLimits` (ASTM E2807),
+    else by the type of its numbers; None where it has no colours."""
+    from pye57.libe57 import IntegerNode, StructureNode
+
+    if not set(_CHANNELS) <= {*header.point_fields}:
+        return None
+    known = []
+    for channel in _CHANNELS:
+        names = f"{channel}Minimum", f"{channel}Maximum"
+        if header.node.isDefined("colorLimits") and all(map(header["colorLimits"].isDefined, names)):
+            low, high = (float(header["colorLimits"][name].value()) for name in names)
+        else:
+            field = StructureNode(header.points.prototype())[channel]
+            low, high = (float(field.minimum()), float(field.maximum())) if isinstance(field, IntegerNode) else (0, 1)
+        known.append((low, high) if high > low else (0.0, 255.0))
+    return known

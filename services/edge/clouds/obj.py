@@ -35,6 +35,7 @@ MAX_MATERIALS = 500  # scanners write tens; a large texture takes a second to de
 MAX_LIBRARIES = 100  # files of materials; programs write one, or one for each part that was joined
 _MAX_LINE = 2**20  # bytes: a polygon of a hundred thousand corners
 _PACKED = 200_000  # rows or faces that wait as words before they become numbers: words take ten times as much memory
+_COLOURED, _NO_COLOUR = 6, [b"nan"] * 3  # numbers of a vertex with a colour; what stands for the colour of another
 _HEAD = 2**12  # bytes by which the encoding is told
 _TICK = 100_000  # lines between calls of the folder's tick
 
@@ -55,16 +56,12 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     """
     reader = _Reader(file)
     with translate_errors(file, "OBJ"):
-        data = read_bytes(folder.path(file), file)
-        encoding, mark = encoding_of(data[:_HEAD])
-        if encoding.startswith("utf-16"):
-            data = data[mark:].decode(encoding, "replace").encode()
-        reader.read(data, folder.tick)
+        reader.read(_bytewise(read_bytes(folder.path(file), file)), folder.tick)
         vertices, coordinates = reader.vertices.array(), reader.coordinates.array()
         faces, uv_faces, material = reader.triangles(vertices[:, :3], len(coordinates))
     if len(vertices) == 0:
         raise unreadable(file, say("has_no_vertices"))
-    rgb, notes = read_colours(vertices[:, 3:6] if vertices.shape[1] >= 6 else None)
+    rgb, notes = read_colours(_filled_in(vertices[:, 3:]) if vertices.shape[1] == _COLOURED else None)
     cloud = Cloud(vertices[:, :3], rgb, notes=notes)
     if len(faces) == 0:
         return ObjFile(cloud, None)
@@ -80,6 +77,18 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     colours = ObjColours(folder, used, material, uv, uv_faces, faces, rgb)
     surface = SampledSurface(cloud.xyz, faces, colours.colour_at if colours.there else None)
     return ObjFile(cloud, surface, absent_textures(file, [each.absent for each in used if each.absent]))
+
+
+def _bytewise(data: bytes) -> bytes:
+    """Return a text with its Latin letters and digits as single bytes: UTF-16 as UTF-8, all others as they are."""
+    encoding, mark = encoding_of(data[:_HEAD])
+    return data[mark:].decode(encoding, "replace").encode() if encoding.startswith("utf-16") else data
+
+
+def _filled_in(colours: Floats) -> Floats:
+    """Return colours (N,3) with the mean of the others where a vertex has none."""
+    known = np.asarray(np.isfinite(colours).all(axis=1))
+    return np.where(known[:, None], colours, colours[known].mean(axis=0)) if known.any() else colours
 
 
 class _Rows:
@@ -98,17 +107,28 @@ class _Rows:
             self._pack()
 
     def array(self) -> Floats:
-        """Return all rows as an array (N,C); C is the fewest numbers that a row has, at most 6."""
+        """Return all rows as an array (N,C), C = 6 where any row has colours behind a place, which are NaN in others,
+        else the fewest numbers that a row has."""
         self._pack()
-        width = min((each.shape[1] for each in self._arrays), default=self._least)
-        return np.concatenate([np.zeros((0, width)), *(each[:, :width] for each in self._arrays)])
+        widths = [each.shape[1] for each in self._arrays]
+        width = _COLOURED if _COLOURED in widths else min(widths, default=self._least)
+        table = np.full((self.count, width), np.nan)
+        at = 0
+        for each in self._arrays:
+            kept = width if each.shape[1] >= width else 3
+            table[at : at + len(each), :kept] = each[:, :kept]
+            at += len(each)
+        return table
 
     def _pack(self) -> None:
         if not self._words:
             return
-        width = min(6, min(map(len, self._words)))
-        if width < self._least:
-            raise ValueError(say("vertex_has_numbers", count=width, least=self._least))
+        least, most = min(map(len, self._words)), max(map(len, self._words))
+        if least < self._least:
+            raise ValueError(say("vertex_has_numbers", count=least, least=self._least))
+        width = _COLOURED if most >= _COLOURED else least
+        if least < width:
+            self._words = [row if len(row) >= width else [*row[:3], *_NO_COLOUR] for row in self._words]
         words = list(chain.from_iterable(row[:width] for row in self._words))
         self._arrays.append(_numbers(words, np.float64).reshape(-1, width))
         self._words.clear()

@@ -186,6 +186,25 @@ def test_a_text_of_any_encoding_is_read(encoding: str, tmp_path: Path) -> None:
     assert len(found.vertices.xyz) == CORNERS.count("v ")
 
 
+@pytest.mark.parametrize("coloured", [[True] * 3, [True, False, True], [False, True, True], [False] * 3])
+def test_some_vertices_may_have_colours(coloured: list[bool], tmp_path: Path) -> None:
+    """The others take the mean of these."""
+    colours = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.2, 0.8)]
+    rows = [
+        f"v {number} {number % 2} 0" + (f" {r} {g} {b}" if there else "")
+        for number, ((r, g, b), there) in enumerate(zip(colours, coloured, strict=True))
+    ]
+    found = parse(tmp_path, "\n".join([*rows, "f 1 2 3"])).vertices
+    np.testing.assert_array_equal(found.xyz, [[0, 0, 0], [1, 1, 0], [2, 0, 0]])
+    if not any(coloured):
+        assert found.rgb is None
+        return
+    known = np.array([colour for colour, there in zip(colours, coloured, strict=True) if there])
+    truth = [colour if there else known.mean(axis=0) for colour, there in zip(colours, coloured, strict=True)]
+    assert found.rgb is not None
+    np.testing.assert_allclose(found.rgb / 255, truth, atol=0.005)
+
+
 def test_what_stands_for_no_number_is_one_that_is_not_finite(tmp_path: Path) -> None:
     found = parse(tmp_path, "v 1.#IND -1.#INF nan # none\n" + CORNERS + "f 2 3 4\n")
     assert np.isnan(found.vertices.xyz[0]).all()
