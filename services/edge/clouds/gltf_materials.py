@@ -25,7 +25,7 @@ from capture2vr.sentences.sentence import say
 _TRANSFORM = "KHR_texture_transform"
 _GLOSS = "KHR_materials_pbrSpecularGlossiness"
 _CLAMP, _MIRROR = 33071, 33648  # wrap modes of samplers; any other repeats
-_LEAST = {"MASK": 0.5, "BLEND": 0.05}  # alpha of what is there, by the material's alphaMode
+_LEAST = {"MASK": 0.5, "BLEND": 0.02}  # alpha of what is there, by the alphaMode; a car's windows have .04
 
 
 class _Picture:

@@ -76,7 +76,7 @@ def leaf(alpha: int, around: int = 0) -> np.ndarray:
         (painted(alphaMode="MASK"), 128, 127),
         (painted(alphaMode="MASK", alphaCutoff=0.2), 60, 40),
         (painted(0.5, alphaMode="MASK"), 255, 240),
-        (painted(alphaMode="BLEND"), 30, 8),
+        (painted(alphaMode="BLEND"), 30, 4),
         (
             {
                 "extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": {"index": 0}}},
@@ -104,7 +104,7 @@ def test_a_leaf_is_not_its_quad(material: dict[str, Any], alpha: int, around: in
         (painted(), 0),
         (painted(alphaMode="OPAQUE", alphaCutoff=0.9), 10),
         (painted(alphaMode="MASK", alphaCutoff=0.0), 0),
-        (painted(0.06, alphaMode="BLEND"), 255),
+        (painted(0.04, alphaMode="BLEND"), 255),
     ],
 )
 def test_alpha_that_cuts_nothing_leaves_the_square(material: dict[str, Any], alpha: int) -> None:
