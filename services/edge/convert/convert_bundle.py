@@ -23,6 +23,7 @@ from capture2vr.edge.convert.join_tiles import join_tiles
 from capture2vr.edge.convert.read_glb import StoredLevel, read_glb
 from capture2vr.edge.convert.tileset_zip import tileset_zip
 from capture2vr.edge.export.glb import to_glb
+from capture2vr.edge.export.glb_buffer import with_extras
 from capture2vr.edge.export.obj import to_obj_zip
 from capture2vr.edge.export.ply import ply_bytes
 from capture2vr.edge.export.usdz import to_phone_usdz
@@ -75,13 +76,22 @@ def convert(bundle: BundleFolder, format_name: str, key: str) -> bytes:
 
 def _glb(bundle: BundleFolder, key: str) -> bytes:
     level = _finest(bundle)
-    return to_glb(level.mesh, "float", unlit=level.unlit)
+    return _placed(bundle, to_glb(level.mesh, "float", unlit=level.unlit))
+
+
+def _placed(bundle: BundleFolder, glb: bytes) -> bytes:
+    """Return a .glb whose extras say where the object of a survey stands: at the inverse of capture_to_asset, (4,4) row
+    by row, times a place in the file, plus capture_offset."""
+    offset = bundle.manifest.get("capture_offset")
+    if offset is None:
+        return glb
+    return with_extras(glb, {"capture_offset": offset, "capture_to_asset": bundle.manifest["capture_to_asset"]})
 
 
 def _glb_meshopt(bundle: BundleFolder, key: str) -> bytes:
     data = bundle.read(FINEST)
     level = read_glb(data)
-    return data if level.is_packed else to_glb(level.mesh, "meshopt", unlit=level.unlit)
+    return _placed(bundle, data if level.is_packed else to_glb(level.mesh, "meshopt", unlit=level.unlit))
 
 
 def _obj(bundle: BundleFolder, key: str) -> bytes:

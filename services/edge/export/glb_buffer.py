@@ -39,6 +39,14 @@ def glb_bytes(document: dict[str, Any], binary: bytes) -> bytes:
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
+def with_extras(glb: bytes, extras: dict[str, Any]) -> bytes:
+    """Return a .glb with extras of the asset: what programs that do not know them leave alone."""
+    (length,) = struct.unpack_from("<I", glb, 12)
+    document = json.loads(glb[20 : 20 + length])
+    document["asset"]["extras"] = extras
+    return glb_bytes(document, glb[28 + length :])
+
+
 class Buffer:
     """Binary chunk of a .glb: arrays one after the other, each aligned to a 32-bit word, with their tables."""
 

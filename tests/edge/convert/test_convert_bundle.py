@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import struct
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -170,6 +172,22 @@ def test_the_full_mesh_of_a_survey_comes_back_from_where_its_file_has_it(tmp_pat
     moved = replace(near, files=far, manifest={**near.manifest, "capture_offset": offset.tolist()})
     found = loaded(convert(written(moved, tmp_path), "ply", "sheet"), "ply")
     np.testing.assert_allclose(bounds(found.vertices), bounds(SHEET.vertices @ Z_UP.T), atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["glb", "glb-meshopt"])
+def test_a_glb_of_a_survey_says_where_it_stands(name: str, tmp_path: Path) -> None:
+    near, offset = downloadable(), [345_678.25, 5_432_100.5, 321.0]
+    moved = replace(near, manifest={**near.manifest, "capture_offset": offset})
+    data = convert(written(moved, tmp_path / "far"), name, "sheet")
+    (length,) = struct.unpack_from("<I", data, 12)
+    extras = json.loads(data[20 : 20 + length])["asset"]["extras"]
+    assert extras == {"capture_offset": offset, "capture_to_asset": near.manifest["capture_to_asset"]}
+    plain, found = read_glb(convert(written(near, tmp_path / "near"), name, "sheet")).mesh, read_glb(data).mesh
+    assert isinstance(plain, TexturedMesh)
+    assert isinstance(found, TexturedMesh)
+    assert np.array_equal(found.mesh.vertices, plain.mesh.vertices)
+    assert found.jpeg == plain.jpeg
+    assert b"extras" not in convert(written(near, tmp_path / "again"), name, "sheet")[: 20 + length]
 
 
 def test_stl_is_the_full_mesh_upright_in_millimetres(tmp_path: Path) -> None:
