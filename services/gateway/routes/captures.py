@@ -120,7 +120,9 @@ class CaptureView(BaseModel):
     def of(cls, receipt: dict[str, Any]) -> CaptureView:
         """Convert a receipt, as it was made or as it is stored."""
         known = with_sentences(receipt)
-        return cls.model_validate(for_reader({**known, "questions": questions_of(known["warnings"])}))
+        warnings = known.get("warnings")  # a damaged receipt may have anything; the validation says so
+        questions = questions_of(warnings if isinstance(warnings, list) else ())
+        return cls.model_validate(for_reader({**known, "questions": questions}))
 
 
 class CaptureSummary(BaseModel):
