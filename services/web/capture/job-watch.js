@@ -82,7 +82,7 @@ function cancelled({ preview }) {
 
 /** @param {Job} job */
 function showSuccess(job) {
-  const { asset, questions, warnings } = job;
+  const { asset, questions = [], warnings } = job;
   const asked = questions.map(({ text }) => text);
   page.work.hidden = true;
   fillList(

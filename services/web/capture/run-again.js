@@ -53,8 +53,9 @@ export function showCut(job, capture) {
  * @param {Job} job
  */
 export function showQuestions(job) {
-  page.questions.hidden = !job.questions.length;
-  page.questions.replaceChildren(...job.questions.map((question) => questionBox(job, question)));
+  const { questions = [] } = job; // a gateway of an earlier version asks none
+  page.questions.hidden = !questions.length;
+  page.questions.replaceChildren(...questions.map((question) => questionBox(job, question)));
 }
 
 /**

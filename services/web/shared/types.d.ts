@@ -491,7 +491,7 @@ export interface Job extends JobProgress {
   asset: PublishedVersion | null;
   error: ProblemDocument | null;
   warnings: string[];
-  questions: Question[];
+  questions?: Question[];
   capture: string;
   label: string;
   edits?: Edits;
