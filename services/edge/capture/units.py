@@ -9,14 +9,19 @@ import numpy as np
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.order.reading import METRES, UnitName
+from capture2vr.sentences.sentence import say
 
 _SEMI_MAJOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # of WGS 84
 _SMALL, _HIGH = 2.0, 20.0  # degrees that a survey spans at most, and how many times that its heights span in metres
 
 
 def in_unit(capture: Capture, unit: UnitName) -> Capture:
-    """Return a capture whose coordinates have that unit; "" leaves it as it is."""
-    return replace(capture, metres_per_unit=METRES[unit], scale_confidence="metric") if unit else capture
+    """Return a capture whose points have that unit; "" leaves it as it is, and so do pictures, which is said."""
+    if not unit:
+        return capture
+    if capture.cloud is None:
+        return replace(capture, warnings=(*capture.warnings, say("unit_of_points_alone")))
+    return replace(capture, metres_per_unit=METRES[unit], scale_confidence="metric")
 
 
 def project_degrees(xyz: Floats) -> Floats:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.capture.units import project_degrees
@@ -76,6 +77,14 @@ def test_a_unit_that_is_told_is_the_files(unit: str, tmp_path: Path) -> None:
     assert capture.metres_per_unit == METRES[unit]  # type: ignore[index]
     assert capture.scale_confidence == "metric"
     assert "doubt_feet" not in codes(capture)
+
+
+def test_a_unit_changes_no_photos(tmp_path: Path) -> None:
+    for number in range(3):
+        Image.fromarray(np.full((64, 96, 3), 40 * number, np.uint8)).save(tmp_path / f"{number}.png")
+    plain, told = read_capture(tmp_path), read_capture(tmp_path, reading=FileReading(unit="mm"))
+    assert (told.metres_per_unit, told.scale_confidence) == (plain.metres_per_unit, plain.scale_confidence)
+    assert codes(told) - codes(plain) == {"unit_of_points_alone"}
 
 
 @pytest.mark.parametrize("reading", [FileReading(), FileReading(unit="deg")])
