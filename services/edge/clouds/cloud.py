@@ -50,7 +50,6 @@ _SAMPLE = 100_000  # points used for the principal extents; fast also for a clou
 
 _EARTH_M = 6.33e6, 6.40e6  # from the middle of the earth to its surface
 _HIGHEST_M = 10_000.0  # a height above this is none
-
 UP_Y = (0.0, 1.0, 0.0)
 UP_Z = (0.0, 0.0, 1.0)
 
@@ -122,6 +121,8 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
     if reading.columns and kind != "xyz":
         raise unreadable(name, say("columns_are_of_tables"), say("leave_columns_out"))
     if (parts := _parts(folder, name, kind)) is not None:
+        if reading.unit == "deg":
+            raise unreadable(name, say("degrees_of_many_points"), say("downsample_point_cloud_example"))
         some, whole, warnings = read_some(parts, name, folder.tick)
         read, metres = _capture(kind, name, some, warnings, whole), None
     elif kind == "xyz":

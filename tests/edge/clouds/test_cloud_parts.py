@@ -14,6 +14,7 @@ from capture2vr.edge.clouds.cloud_parts import read_some
 from capture2vr.edge.clouds.raw_parts import RawPart, RawParts
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.read_capture import read_capture
+from capture2vr.order.reading import FileReading
 from tests.support.captures import e57_scan, save_e57, splat_ply_bytes
 
 COUNT = 50_003
@@ -103,6 +104,14 @@ def test_all_scans_of_a_large_e57_are_read_in_parts(tmp_path: Path) -> None:
     assert whole.xyz == pytest.approx(square(COUNT), abs=1e-5)
     assert whole.rgb is not None
     assert (whole.rgb == 9).all()
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_degrees_of_a_large_file_are_refused_by_name(tmp_path: Path) -> None:
+    """Its parts are read again and again, each without knowing where the middle of all is."""
+    np.save(tmp_path / "scan.npy", np.random.default_rng(0).uniform(47, 48, (COUNT, 3)))
+    with pytest.raises(CaptureError, match="more points than degrees are projected of"):
+        read_capture(tmp_path / "scan.npy", reading=FileReading(unit="deg"))
 
 
 @pytest.mark.usefixtures("small_is_large")
