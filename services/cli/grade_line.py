@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from capture2vr.order.questions import flags_of
+from capture2vr.order.questions import flags_of, questions_of
 
 
 def grade_line(grade: Mapping[str, str]) -> str:
@@ -15,14 +15,15 @@ def grade_line(grade: Mapping[str, str]) -> str:
 
 
 def other_warnings(
-    grade: Mapping[str, str] | None, warnings: Sequence[str], questions: Sequence[Mapping[str, Any]] = ()
+    grade: Mapping[str, str] | None, warnings: Sequence[str], questions: Sequence[Mapping[str, Any]] | None = None
 ) -> list[str]:
     """Return an asset's warnings without the one that says the grade, which stands on a line of its own.
 
-    questions: those among the warnings, as of `questions_of`; behind each stand the flags that answer it.
+    questions: those among the warnings, where they are known by themselves; behind each stand the flags that answer it.
     """
     because = (grade or {}).get("because")
-    flags = {question["text"]: f". If not so: {flags_of(question)}" for question in questions}
+    asked = questions_of(warnings) if questions is None else questions
+    flags = {question["text"]: f". If not so: {flags_of(question)}" for question in asked}
     return [
         f"{warning.rstrip('.')}{flags[warning]}" if warning in flags else warning
         for warning in warnings

@@ -11,11 +11,16 @@ from typing import Any
 from capture2vr.order.option_table import OPTION_TABLE
 from capture2vr.sentences.sentence import Sentence, say
 
-_COLUMNS = {"columns": ""}
-_MILLIMETRES, _CENTIMETRES, _INCHES = {"unit": "mm"}, {"unit": "cm"}, {"unit": "in"}
-_METRES, _FEET, _SURVEY_FEET = {"unit": "m"}, {"unit": "ft"}, {"unit": "us-ft"}
-_SWAPPED = {"unit": "deg", "columns": "x=2,y=1,z=3"}
-_BY_CODE: Mapping[str, tuple[Mapping[str, str], ...]] = {
+Answer = tuple[Sentence, Mapping[str, str]]
+_COLUMNS: Answer = say("answer_columns"), {"columns": ""}
+_METRES: Answer = say("answer_metres"), {"unit": "m"}
+_MILLIMETRES: Answer = say("answer_millimetres"), {"unit": "mm"}
+_CENTIMETRES: Answer = say("answer_centimetres"), {"unit": "cm"}
+_INCHES: Answer = say("answer_inches"), {"unit": "in"}
+_FEET: Answer = say("answer_feet"), {"unit": "ft"}
+_SURVEY_FEET: Answer = say("answer_survey_feet"), {"unit": "us-ft"}
+_SWAPPED: Answer = say("answer_latitude_first"), {"unit": "deg", "columns": "x=2,y=1,z=3"}
+_BY_CODE: Mapping[str, tuple[Answer, ...]] = {
     "cloud_long_in_unknown_unit": (_MILLIMETRES, _CENTIMETRES, _INCHES),
     "columns_taken": (_COLUMNS,),
     "doubt_column_counts": (_COLUMNS,),
@@ -23,7 +28,7 @@ _BY_CODE: Mapping[str, tuple[Mapping[str, str], ...]] = {
     "doubt_feet": (_FEET, _SURVEY_FEET),
     "doubt_one_side_long": (_COLUMNS,),
 }
-"""Answers by the code of the sentence: options of a job; "" is for a person to say."""
+"""Answers by the code of the sentence: what they say, and options of a job; "" is for a person to say."""
 
 
 def questions_of(warnings: Iterable[str]) -> list[dict[str, Any]]:
@@ -33,7 +38,7 @@ def questions_of(warnings: Iterable[str]) -> list[dict[str, Any]]:
         {
             "code": warning.code,
             "text": warning,
-            "answers": [{"text": _text(options), "options": dict(options)} for options in _BY_CODE[warning.code]],
+            "answers": [{"text": text, "options": dict(options)} for text, options in _BY_CODE[warning.code]],
         }
         for warning in warnings
         if isinstance(warning, Sentence) and warning.code in _BY_CODE
@@ -46,16 +51,3 @@ def flags_of(question: Mapping[str, Any]) -> str:
         " ".join(f"{OPTION_TABLE[name].flag} {value or 'x=2,y=3,z=4'}" for name, value in answer["options"].items())
         for answer in question["answers"]
     )
-
-
-def _text(options: Mapping[str, str]) -> Sentence:
-    texts = {
-        "mm": say("answer_millimetres"),
-        "cm": say("answer_centimetres"),
-        "in": say("answer_inches"),
-        "ft": say("answer_feet"),
-        "us-ft": say("answer_survey_feet"),
-        "deg": say("answer_latitude_first"),
-        "m": say("answer_metres"),
-    }
-    return texts.get(options.get("unit", ""), say("answer_columns"))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
 import numpy as np
 
+from capture2vr.edge.capture.nouns import Cloud
+from capture2vr.edge.read_capture import read_capture
 from tests.support import captures
 
 KINDS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
@@ -133,3 +137,12 @@ def posed_glb() -> bytes:
         "samplers": [{"wrapS": 33071, "wrapT": 33648}],
     }
     return writer.glb()
+
+
+def cloud_of(data: bytes) -> Cloud:
+    """The points that are read of a GLB."""
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "scan.glb").write_bytes(data)
+        cloud = read_capture(Path(folder)).cloud
+    assert cloud is not None
+    return cloud

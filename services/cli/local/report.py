@@ -8,7 +8,6 @@ from html import escape
 from typing import Any
 
 from capture2vr.cli.grade_line import grade_line, other_warnings
-from capture2vr.order.questions import questions_of
 
 _ROWS = {
     "held_out": ("held-out points", "not used for either surface; if 0, the input points are used instead", "{:,}"),
@@ -98,9 +97,7 @@ def report_page(
             *_unseen(report["capture"]["unseen"]),
             *(
                 f'<p class="warning">{escape(warning)}</p>'
-                for warning in other_warnings(
-                    report["quality"].get("grade"), report["warnings"], questions_of(report["warnings"])
-                )
+                for warning in other_warnings(report["quality"].get("grade"), report["warnings"])
             ),
             "</html>\n",
         ]

@@ -17,7 +17,6 @@ from capture2vr.cli.progress import console, warn
 from capture2vr.client.earlier_results import BUNDLE, PICTURES, PREVIEW, SOURCE, files_of_both, remove_earlier
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.errors import BadInput
-from capture2vr.order.questions import questions_of
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
 from capture2vr.storage.catalogue.publish import PublishedAsset, PublishPolicy, publish
@@ -156,6 +155,6 @@ def print_result(out: Path, report: dict[str, Any]) -> None:
             f"distance to the reference, after alignment: median {found['median']:.3%} of its size, 90th percentile "
             f"{found['p90']:.3%}; {found['complete']:.1%} of the reference is within 1 %"
         )
-    for warning in other_warnings(quality.get("grade"), report["warnings"], questions_of(report["warnings"])):
+    for warning in other_warnings(quality.get("grade"), report["warnings"]):
         warn(warning)
     console.print(f"report: {out / 'report.html'}; all figures: {out / 'report.json'}")

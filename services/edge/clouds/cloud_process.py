@@ -49,9 +49,13 @@ def _greyed_warning(folder: Path, count: int, file: str) -> tuple[str, ...]:
     """The warning that some of `count` points were made grey, if any were."""
     if not (folder / GREYED).exists():
         return ()
-    what = say("points_scans_without_colours", bad=int((folder / GREYED).read_text()), count=count)
-    advice = say("export_all_scans_with_colours")
-    return (say("these_points_made_grey", file=file, what=what, advice=advice),)
+    return (greyed_warning(int((folder / GREYED).read_text()), count, file),)
+
+
+def greyed_warning(bad: int, count: int, file: str) -> str:
+    """Return the warning that so many of `count` points were made grey, because their scans have no colours."""
+    what = say("points_scans_without_colours", bad=bad, count=count)
+    return say("these_points_made_grey", file=file, what=what, advice=say("export_all_scans_with_colours"))
 
 
 def _decode(kind: str, path: Path, file: str, folder: Path, tick: Tick, most_seconds: float) -> None:

@@ -6,6 +6,8 @@ import re
 import unicodedata
 from collections.abc import Sequence
 
+from capture2vr.order.reading import METRES, Unit
+
 _WORDS = {
     "x": "x pointx posx positionx coordx coordinatex xcoord xcoordinate xkoordinate "
     "easting east e rechtswert rechts ost rw este est levante",
@@ -31,11 +33,15 @@ _MEANING = {word: meaning for meaning, words in _WORDS.items() for word in words
 _INDEXED = {
     f"{group}{number}": axis for group in ("points", "point", "position", "coords") for number, axis in enumerate("xyz")
 }
-_METRES = {
-    "m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "millimeter": 1e-3, "cm": 1e-2,
-    "centimeter": 1e-2, "km": 1e3, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "ftus": 1200 / 3937,
-    "usft": 1200 / 3937, "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
-}  # fmt: skip
+_UNITS: dict[Unit, str] = {
+    "m": "m meter metre meters metres",
+    "mm": "mm millimeter",
+    "cm": "cm centimeter",
+    "ft": "ft feet foot",
+    "us-ft": "ftus usft",
+    "in": "in inch inches",
+}
+_METRES = {"km": 1e3} | {word: METRES[unit] for unit, words in _UNITS.items() for word in words.split()}
 _BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
 
 

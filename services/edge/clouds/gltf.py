@@ -25,20 +25,11 @@ _GLB_HEADER = 12
 _BIN = b"BIN\0"
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_READ: tuple[str, ...] = (
-    "KHR_texture_transform",
-    "KHR_mesh_quantization",
-    "EXT_texture_webp",
-    "EXT_mesh_gpu_instancing",
-)
-_READ += ("KHR_node_visibility", "KHR_lights_punctual", "KHR_animation_pointer")
-_READ += (
-    "KHR_xmp_json_ld",
-    "EXT_mesh_features",
-    "EXT_instance_features",
-    "EXT_structural_metadata",
-    "FB_ngon_encoding",
-)
+_READ = {
+    *("KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp", "EXT_mesh_gpu_instancing"),
+    *("KHR_node_visibility", "KHR_lights_punctual", "KHR_animation_pointer", "KHR_xmp_json_ld", "FB_ngon_encoding"),
+    *("EXT_mesh_features", "EXT_instance_features", "EXT_structural_metadata"),
+}
 _SHADING = "KHR_materials_"  # begins the names of extensions that leave shape and base colour as they are
 _UNCOMPRESSED = say("export_gltf_without_compression")
 DRACO = "KHR_draco_mesh_compression"
@@ -113,7 +104,7 @@ class GltfFile:
     def unread_extensions(self) -> list[str]:
         """Name the extensions that the file uses and that are not read; what is compressed comes uncompressed too."""
         used = sorted({str(name)[:120] for name in self.tree.get("extensionsUsed", [])})
-        return [name for name in used if not name.startswith(_SHADING) and name not in (*_READ, *_ADVICE)]
+        return [name for name in used if not name.startswith(_SHADING) and name not in _READ | _ADVICE.keys()]
 
     def entry(self, name: str, index: object) -> dict[str, Any]:
         """Return an entry of one of the tree's tables. Raises ValueError where there is none."""

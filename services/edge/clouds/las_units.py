@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import BinaryIO
 
 from capture2vr.edge.errors import CaptureError
+from capture2vr.order.reading import METRES
 from capture2vr.sentences.sentence import say
 
 _USER = b"LASF_Projection"
 _WKT, _KEYS = 2112, 34735
 _MODEL, _LENGTH, _HEIGHT = 1024, 3076, 4099  # GTModelType, ProjLinearUnits, VerticalUnits
 _GEOGRAPHIC = 2
-_METRES = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+_METRES = {9001: METRES["m"], 9002: METRES["ft"], 9003: METRES["us-ft"]}
 _MOST_RECORDS, _MOST_BYTES = 1_000, 2**16
 _UNIT = re.compile(r"\b(?:LENGTH)?UNIT\s*\[\s*\"[^\"]*\"\s*,\s*([\d.eE+-]+)")
 _VERTICAL = re.compile(r"\bVERT(?:_CS|CRS|ICALCRS)\s*\[")

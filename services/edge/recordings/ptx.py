@@ -19,6 +19,7 @@ from capture2vr.edge.arrays import Floats, Tick
 from capture2vr.edge.capture.files import numbers, translate_errors, truncated, unreadable
 from capture2vr.edge.capture.nouns import Capture, Cloud
 from capture2vr.edge.clouds.cloud import capture_of_cloud
+from capture2vr.edge.clouds.cloud_process import greyed_warning
 from capture2vr.edge.clouds.colours import read_colours
 from capture2vr.edge.clouds.tables import MAX_POINTS, too_many_points
 from capture2vr.edge.errors import CaptureError
@@ -48,11 +49,8 @@ def read_ptx(path: Path, file: str, tick: Tick) -> Capture:
     """Read all scans of a .ptx, each by its matrix. Scans without colours are grey, where others have some."""
     size = path.stat().st_size
     if size > _MAX_BYTES:
-        what, hint = (
-            say("larger_than_mib_most_read", size=_MAX_BYTES // 2**20, kind="PTX"),
-            say("export_scan_as_las_laz"),
-        )
-        raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(hint,))
+        what = say("larger_than_mib_most_read", size=_MAX_BYTES // 2**20, kind="PTX")
+        raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(say("export_scan_as_las_laz"),))
     with translate_errors(file, ".ptx"), path.open(encoding="latin-1") as stream:
         scans = list(_scans(stream, size, file, tick))
     xyz = np.concatenate([points for points, _ in scans])
@@ -63,10 +61,7 @@ def read_ptx(path: Path, file: str, tick: Tick) -> Capture:
     whole = [values if values.shape[1] == 3 else np.full((len(values), 3), _GREY) for _, values in scans]
     rgb, notes = read_colours(np.concatenate(whole))
     grey = sum(len(values) for _, values in scans if values.shape[1] != 3)
-    warnings: tuple[str, ...] = ()
-    if grey:
-        what = say("points_scans_without_colours", bad=grey, count=len(xyz))
-        warnings = (say("these_points_made_grey", file=file, what=what, advice=say("export_all_scans_with_colours")),)
+    warnings = (greyed_warning(grey, len(xyz), file),) if grey else ()
     return capture_of_cloud(Cloud(xyz, rgb, notes=notes), file, "ptx", warnings)
 
 

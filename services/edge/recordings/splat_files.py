@@ -20,6 +20,7 @@ from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.clouds.ply import LEAST_OPACITY, read_columns, splat_warning
 from capture2vr.edge.clouds.tables import MAX_POINTS, too_many_points
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.splats.spz import COLOUR_GAIN, whole_numbers
 from capture2vr.sentences.sentence import say
 
 SPZ_MAGIC = b"NGSP"
@@ -29,7 +30,6 @@ _SPZ_POSITION_BYTES = 9  # of a splat: three numbers of 24 bits
 # Further bytes of a splat: opacity, colour, logarithms of scales, rotation (4 bytes from version 3 on), and harmonics.
 _SPZ_BYTES = {2: 1 + 3 + 3 + 3, 3: 1 + 3 + 3 + 4}
 _SPZ_HARMONICS = (0, 3, 8, 15)
-_SPZ_COLOUR_GAIN = 0.28209479177387814 / 0.15  # the harmonic of degree 0 over the factor by which colours are shrunk
 
 _SPLAT = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)])
 _WIDEST = 1e5  # standard deviation of a splat; a larger one is none
@@ -113,13 +113,11 @@ def read_spz(path: Path, file: str) -> Capture:
         if left < count * each:
             what = say("splats_least_bytes", count=count, need=count * each, left=left)
             raise truncated(file, say("cut_off_header_announces", what=what))
-        thirds = np.fromfile(stream, np.uint8, _SPZ_POSITION_BYTES * count).reshape(-1, 3)
+        thirds = np.fromfile(stream, np.uint8, _SPZ_POSITION_BYTES * count)
         opacity = np.fromfile(stream, np.uint8, count)
         colour = np.fromfile(stream, np.uint8, 3 * count).reshape(-1, 3)
-    padded = np.zeros((len(thirds), 4), np.uint8)
-    padded[:, 1:] = thirds
-    xyz = (padded.view("<i4")[:, 0] >> 8).reshape(-1, 3) / float(1 << bits)  # the shift keeps the sign
-    rgb = rgb8((colour / 255 - 0.5) * _SPZ_COLOUR_GAIN + 0.5, 255.0)
+    xyz = whole_numbers(thirds).reshape(-1, 3) / float(1 << bits)
+    rgb = rgb8((colour / 255 - 0.5) / COLOUR_GAIN + 0.5, 255.0)
     return _capture("spz", file, xyz, rgb, opacity >= LEAST_OPACITY * 255)
 
 

@@ -20,7 +20,7 @@ from capture2vr.edge.splats.surface_splats import Splats
 
 _MAGIC, _VERSION, _DEGREE, _FLAGS = 0x5053474E, 3, 0, 0
 _POSITION_BITS, _MOST_FRACTION_BITS = 23, 20  # without the sign; 2^-20 m is a thousandth of a millimetre
-_COLOUR_GAIN = 0.15 / 0.28209479177387814  # of a colour less one half; the divisor is the harmonic of degree 0
+COLOUR_GAIN = 0.15 / 0.28209479177387814  # of a colour less one half; the divisor is the harmonic of degree 0
 _HEADER, _HEADER_BYTES = "<IIIBBBB", 16
 _COMPONENT_BITS = 9  # of a quaternion's component, without the sign
 _LEVEL = 6  # of gzip
@@ -31,7 +31,7 @@ def to_spz(splats: Splats) -> bytes:
     farthest = float(np.abs(splats.xyz).max(initial=1e-6))
     bits = max(0, min(_MOST_FRACTION_BITS, _POSITION_BITS - 1 - math.ceil(math.log2(farthest))))
     header = struct.pack(_HEADER, _MAGIC, _VERSION, len(splats), _DEGREE, bits, _FLAGS, 0)
-    colour = (splats.rgb / 255 - 0.5) * (_COLOUR_GAIN * 255) + 127.5
+    colour = (splats.rgb / 255 - 0.5) * (COLOUR_GAIN * 255) + 127.5
     sections = (
         _fixed_point(splats.xyz, bits),
         _byte(splats.opacity * 255),
@@ -50,9 +50,9 @@ def from_spz(data: bytes) -> Splats:
         raise ValueError("this is no .spz of version 3 without harmonics")
     bytes_of = np.frombuffer(whole, np.uint8, offset=_HEADER_BYTES)
     places, opacity, colour, scale, turns = np.split(bytes_of, np.cumsum([9 * count, count, 3 * count, 3 * count]))
-    rgb = (colour.reshape(-1, 3).astype(np.float32) - 127.5) / _COLOUR_GAIN + 127.5
+    rgb = (colour.reshape(-1, 3).astype(np.float32) - 127.5) / COLOUR_GAIN + 127.5
     return Splats(
-        _whole_number(places).reshape(-1, 3).astype(np.float32) / (1 << bits),
+        whole_numbers(places).reshape(-1, 3).astype(np.float32) / (1 << bits),
         _turns(turns.view("<u4")),
         np.exp(scale.reshape(-1, 3).astype(np.float32) / 16 - 10),
         opacity.astype(np.float32) / 255,
@@ -66,8 +66,8 @@ def _fixed_point(xyz: Floats, bits: int) -> Bytes:
     return np.ascontiguousarray(whole[..., None].view(np.uint8)[..., :3])
 
 
-def _whole_number(thirds: Bytes) -> Ints:
-    """Little-endian 24-bit numbers (N,)."""
+def whole_numbers(thirds: Bytes) -> Ints:
+    """Return little-endian 24-bit numbers (N,) of their bytes (3·N,)."""
     padded = np.zeros((len(thirds) // 3, 4), np.uint8)
     padded[:, 1:] = thirds.reshape(-1, 3)
     number: Ints = padded.view("<i4")[:, 0] >> 8  # keeps the sign

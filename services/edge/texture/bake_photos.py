@@ -35,6 +35,7 @@ from capture2vr.edge.texture.photo_visibility import (
     depth_of_object,
     pixel_width,
     usual_distance,
+    without_steps,
 )
 from capture2vr.edge.texture.refine_poses import LONGEST_PX, SeenPlaces, refine_poses
 
@@ -225,13 +226,9 @@ def _gains(
 def _inner_mask(depth: Floats) -> Bools:
     """(H,W) pixels of a depth image away from outlines, where a blurred picture mixes the surface with what is behind;
     all of an image without depth."""
-    import cv2
-
     if not depth.any():
         return np.ones(depth.shape, bool)
-    window = np.ones((2 * max(1, round(_OUTLINE * max(depth.shape))) + 1,) * 2, np.uint8)
-    nearest, farthest = cv2.erode(depth, window), cv2.dilate(depth, window)
-    return np.asarray((nearest > 0) & (farthest < _STEP * nearest))
+    return without_steps(depth, max(1, round(_OUTLINE * max(depth.shape))), _STEP)
 
 
 def _grey(rgb: Bytes) -> Floats:

@@ -64,9 +64,7 @@ class PhotoVisibility:
 
         hits, _ = cast_pixels(picture, self._scene, size[1], size[0])
         z = np.where(hits.face >= 0, hits.along, 0).reshape(size).astype(np.float32)
-        window = np.ones((3, 3), np.uint8)
-        nearest, farthest = cv2.erode(z, window), cv2.dilate(z, window)
-        inner = ((nearest > 0) & (farthest < _STEP * nearest)).astype(np.uint8)
+        inner = without_steps(z, 1, _STEP).astype(np.uint8)
         away = cv2.distanceTransform(inner, cv2.DIST_L2, 3) / max(1.0, float(np.sqrt((z > 0).sum())))
         return np.asarray(np.clip((away - _NEAR_OUTLINE) / (_WELL_INSIDE - _NEAR_OUTLINE), 0, 1), np.float32)
 
@@ -110,6 +108,15 @@ class PhotoVisibility:
         lift = LIFT * self._scene.longest
         start = places + lift * facing
         return self._scene.blocked(start, eye - start, 1.0)
+
+
+def without_steps(depth: Floats, radius: int, step: float) -> Bools:
+    """Return a mask (H,W) of the pixels around which a depth image is known, and nowhere as many times as deep."""
+    import cv2
+
+    window = np.ones((2 * radius + 1,) * 2, np.uint8)
+    nearest, farthest = cv2.erode(depth, window), cv2.dilate(depth, window)
+    return np.asarray((nearest > 0) & (farthest < step * nearest))
 
 
 def depth_of_object(picture: PosedPicture) -> Floats:

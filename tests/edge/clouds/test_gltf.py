@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.srgb import to_linear, to_srgb
 from tests.support import captures
+from tests.support.gltf_files import cloud_of
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 VERTICES, FACES = np.asarray(BALL.vertices, np.float32), np.asarray(BALL.faces)
@@ -34,14 +33,6 @@ PAINTED: dict[str, object] = {"pbrMetallicRoughness": {"baseColorTexture": {"ind
 Place = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 BYTE = st.integers(0, 255)
 COLOUR = st.tuples(BYTE, BYTE, BYTE)
-
-
-def cloud_of(data: bytes) -> Cloud:
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "scan.glb").write_bytes(data)
-        cloud = read_capture(Path(folder)).cloud
-    assert cloud is not None
-    return cloud
 
 
 def colours_of(data: bytes) -> np.ndarray:

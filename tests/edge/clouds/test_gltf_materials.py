@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -11,12 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.clouds.sample_surface import SAMPLES
 from capture2vr.edge.errors import CaptureError
-from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.srgb import to_srgb
-from tests.support.gltf_files import GltfWriter
+from tests.support.gltf_files import GltfWriter, cloud_of
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
 SIDE = 200
@@ -48,14 +44,6 @@ def square(
         writer.tree["textures"] = [{"source": writer.picture(picture)} | ({} if sampler is None else {"sampler": 0})]
         writer.tree["samplers"] = [sampler or {}]
     return writer.glb()
-
-
-def cloud_of(data: bytes) -> Cloud:
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "scan.glb").write_bytes(data)
-        cloud = read_capture(Path(folder)).cloud
-    assert cloud is not None
-    return cloud
 
 
 def painted(factor: float = 1.0, **material: Any) -> dict[str, Any]:
