@@ -117,7 +117,7 @@ def read_table(path: Path, file: str, told: TableColumns | None = None) -> tuple
         table = _read_rows(reader, path, layout, file)
     columns = layout.columns
     cloud = _of_columns(table, columns) if columns else _unnamed_columns(table, counted=layout.counted)
-    return cloud, _notes(reader, len(table), file), columns.metres if columns else None
+    return cloud, _notes(reader, len(table), file, told=told is not None), columns.metres if columns else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,11 +230,11 @@ def _of_columns(table: Floats, columns: TableColumns) -> Cloud:
     return Cloud(table[:, :3], rgb, unit_normals(table[:, at : at + 3]) if columns.normals else None, notes)
 
 
-def _notes(reader: RowReader, count: int, file: str) -> tuple[str, ...]:
-    """Say what was taken for what, where that is not plain: x, y and z in front, with decimal points."""
+def _notes(reader: RowReader, count: int, file: str, *, told: bool) -> tuple[str, ...]:
+    """Say what was taken for what, where that is not plain, x, y, z in front with decimal points, and nobody told."""
     notes = []
     x, y, z = reader.used[:3]
-    if (x, y, z) != (0, 1, 2) or reader.dialect.decimal == ",":
+    if not told and ((x, y, z) != (0, 1, 2) or reader.dialect.decimal == ","):
         marks = say("decimal_commas") if reader.dialect.decimal == "," else say("decimal_points")
         notes.append(say("columns_taken", file=file, x=x + 1, y=y + 1, z=z + 1, marks=marks))
     if reader.dropped:

@@ -114,6 +114,7 @@ def test_columns_that_are_told_are_read(tmp_path: Path) -> None:
     rows = np.c_[np.arange(600) ** 1.5, BALL[:, 2], BALL[:, :2], np.full((600, 3), [10, 120, 250])]
     reading = FileReading("z=2,x=3,y=4,r=7,g=6,b=5")
     capture = read_capture(written(tmp_path, rows), reading=reading)
+    assert questions_of(capture.warnings) == [], "what was answered is not asked again"
     np.testing.assert_allclose(coordinates(capture), BALL, atol=1e-6)
     assert capture.cloud is not None
     assert capture.cloud.rgb is not None
