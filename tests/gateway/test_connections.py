@@ -143,8 +143,9 @@ async def test_several_requests_share_a_connection(tmp_path: Path) -> None:
 async def test_a_body_that_does_not_come_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(middleware, "_SILENCE_S", 0.2)
     async with port(tmp_path) as at, connected(at) as (reader, writer):
-        head = b"POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\nContent-Length: 50\r\n"
-        writer.write(head + b"Connection: close\r\n\r\n{")
+        head = b"POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
+        # The pace allows two seconds for so much: on a crowded machine one byte was too slow before it was silent.
+        writer.write(head + b"Content-Length: 2000\r\nConnection: close\r\n\r\n" + b" " * 1000)
         status, problem = await answer(reader)
         assert (status, problem["code"]) == (408, "REQUEST_SILENT")
 
