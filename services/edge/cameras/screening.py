@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 
 import cv2
 import numpy as np
@@ -55,19 +56,24 @@ def screen(photos: Sequence[Photo], *, tick: Tick) -> tuple[tuple[Photo, ...], t
     """Return the photos worth aligning, in their order, and a verdict on each of the others."""
     verdicts: list[PhotoVerdict] = []
     accepted: list[_PhotoTraits] = []
+    copies: list[tuple[str, int]] = []
     for photo, traits in zip(photos, in_threads(_traits_or_error, photos, tick), strict=True):
         if isinstance(traits, CaptureError):
             advice = say("send_again_as_jpeg_heic_what", what=traits.message)
             verdicts.append(PhotoVerdict(photo.name, "unreadable", advice))
             continue
-        verdict = _dark_verdict(traits) or _duplicate_verdict(traits, accepted)
-        if verdict is None:
+        verdict = _dark_verdict(traits)
+        if verdict is not None:
+            verdicts.append(verdict)
+        elif (at := _place_of_same(traits, accepted)) is None:
             accepted.append(traits)
         else:
-            verdicts.append(verdict)
+            accepted[at], copy = _original_first(accepted[at], traits)
+            copies.append((copy.photo.name, at))
+    same = [_duplicate_verdict(name, accepted[at].photo.name) for name, at in copies]
     blurred = _blurred_names(accepted)
     photos_left = tuple(traits.photo for traits in accepted if traits.photo.name not in blurred)
-    return photos_left, (*verdicts, *(_blur_verdict(name) for name in blurred))
+    return photos_left, (*verdicts, *same, *(_blur_verdict(name) for name in blurred))
 
 
 def _traits_or_error(photo: Photo) -> _PhotoTraits | CaptureError:
@@ -120,14 +126,23 @@ def _dark_verdict(traits: _PhotoTraits) -> PhotoVerdict | None:
     return None
 
 
-def _duplicate_verdict(traits: _PhotoTraits, accepted: Sequence[_PhotoTraits]) -> PhotoVerdict | None:
-    """Return a verdict if the photo is a copy of an accepted one; the last is compared first, as it is most likely."""
-    for other in reversed(accepted):
+def _place_of_same(traits: _PhotoTraits, accepted: Sequence[_PhotoTraits]) -> int | None:
+    """Find the accepted photo that one is a copy of; the last is compared first, as it is most likely."""
+    for at, other in reversed([*enumerate(accepted)]):
         alike = int((traits.hash != other.hash).sum()) <= _COPY_BITS
         if alike and np.abs(traits.thumb - other.thumb).mean() <= _COPY_CHANGE * other.thumb.std():
-            advice = say("shows_same_as_take_step", name=other.photo.name)
-            return PhotoVerdict(traits.photo.name, "duplicate", advice)
+            return at
     return None
+
+
+def _original_first(first: _PhotoTraits, second: _PhotoTraits) -> tuple[_PhotoTraits, _PhotoTraits]:
+    """Order two of the same picture: "a.jpg" before "a (1).jpg" or "a - Copy.jpg", which sort first."""
+    stem, other = PurePosixPath(first.photo.name).stem, PurePosixPath(second.photo.name).stem
+    return (second, first) if stem != other and stem.startswith(other) else (first, second)
+
+
+def _duplicate_verdict(name: str, original: str) -> PhotoVerdict:
+    return PhotoVerdict(name, "duplicate", say("shows_same_as_take_step", name=original))
 
 
 def _blurred_names(accepted: Sequence[_PhotoTraits]) -> list[str]:

@@ -27,6 +27,7 @@ from capture2vr.edge.cameras.sfm_database import (
     write_database,
 )
 from capture2vr.edge.cameras.sfm_process import ANSWER, PROBLEM, Lens, SfmProblem, SfmResult, read_problem, write_answer
+from capture2vr.edge.cameras.wide_lens import FISHEYE, lens_of_fisheye, refine_wide_lenses
 from capture2vr.edge.capture.nouns import Intrinsics
 from capture2vr.edge.child_process import ReportFraction, set_up_child
 
@@ -58,6 +59,9 @@ def main(folder: Path) -> None:
         if problem.thorough and _most_placed(models) < len(problem.features):
             others = _without_contradicted_photos(problem, database, _map_globally(database, folder))
             models = max([models, others], key=_most_placed)
+        if models:
+            options = _options(limit_factor(problem), given=True)
+            models = [refine_wide_lenses(database, folder, models[0], options), *models[1:]]
     else:
         drop_contradicting_matches(problem, database)
         models = [_triangulate(problem, database, folder)]
@@ -65,7 +69,9 @@ def main(folder: Path) -> None:
 
 
 def _lens(camera: Any) -> Lens:
-    """Convert a solved SIMPLE_RADIAL camera to a lens."""
+    """Convert a solved camera, SIMPLE_RADIAL or a fisheye, to a lens."""
+    if camera.model_name == FISHEYE:
+        return lens_of_fisheye(camera)
     focal, cx, cy, k1 = (float(value) for value in camera.params)
     intrinsics = Intrinsics(focal, focal, cx - 0.5, cy - 0.5, camera.width, camera.height)
     return Lens(intrinsics, (k1, 0.0, 0.0, 0.0, 0.0), known=True)

@@ -13,7 +13,7 @@ import numpy as np
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import Capture, Cloud, Photo
 from capture2vr.order.reading import FileReading
-from capture2vr.sentences.sentence import say
+from capture2vr.sentences.sentence import say, with_values
 
 _SOME = 100_000  # points that are looked at, in the file's order
 _FEW = 0.01  # share of the points at either end that a few strays may be
@@ -40,9 +40,10 @@ def _about_cloud(cloud: Cloud, capture: Capture, reading: FileReading) -> Iterat
     second, longest = np.sort(high - low)[1:]
     if capture.format == "xyz" and not reading.columns:
         if any(map(_counts, xyz.T)):
-            yield say("doubt_column_counts")
+            yield with_values(say("doubt_column_counts"), cloud.of_table)
         elif longest > _LONG * second:
-            yield say("doubt_one_side_long", times=longest / max(second, 1e-300))
+            long = say("doubt_one_side_long", times=longest / max(second, 1e-300))
+            yield with_values(long, cloud.of_table)
     if capture.format not in _OF_MATERIALS and cloud.rgb is not None and (alike := _alike(cloud)):
         yield alike
 

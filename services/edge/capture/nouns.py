@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import ConfigDict, Field
 
@@ -193,7 +193,9 @@ class Cloud:
     """Point cloud as read from a file, in the capture's own frame and units.
 
     xyz (N,3) float64, finite; rgb (N,3) uint8 sRGB or None; normals (N,3) float32 unit length or None; notes: what
-    is to be said of them; origin: what was subtracted from the file's coordinates (3,), which are of a survey, or None.
+    is to be said of them; origin: what was subtracted from the file's coordinates (3,), which are of a survey, or None;
+    crs: the coordinate reference system of xyz + origin, as well-known text or "EPSG:25832"; "" where it is unknown;
+    of_table: of a table of numbers its first rows and what its columns were taken for, as a question's values.
     """
 
     xyz: Floats
@@ -201,10 +203,13 @@ class Cloud:
     normals: Floats | None = None
     notes: tuple[str, ...] = ()
     origin: Floats | None = None
+    crs: str = ""
+    of_table: Mapping[str, Any] = field(default_factory=dict)
 
     def subset(self, which: Bools) -> Cloud:
         """Return the points where the mask `which` (N,) is True."""
-        return Cloud(self.xyz[which], pick(self.rgb, which), pick(self.normals, which), self.notes, self.origin)
+        rgb, normals = pick(self.rgb, which), pick(self.normals, which)
+        return replace(self, xyz=self.xyz[which], rgb=rgb, normals=normals)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from capture2vr.edge.capture.gravity_tags import elevation_deg, up_in_camera
 from capture2vr.edge.capture.images import read_bytes
 from capture2vr.edge.capture.masks import mask_file, mask_loader, split_masks, stray_masks_warning
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
-from capture2vr.edge.capture.panorama import VIEWS, by_direction, is_panorama, views_of
+from capture2vr.edge.capture.panorama import VIEWS, Coverage, as_their_like, by_direction, coverage_of, views_of
 from capture2vr.edge.capture.photo_copy import keep_copy
 from capture2vr.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
 from capture2vr.edge.capture.smaller_copies import without_copies
@@ -52,18 +52,19 @@ def read(folder: Folder) -> Capture:
     names, copies = without_copies(folder, everything)
     if len(names) == 1:
         return _single_photo(folder, read_photo(folder, names[0]))
-    photos: list[Photo] = []
-    panoramas: list[list[Photo]] = []
+    read: list[Photo] = []
     errors: list[CaptureError] = []
+    covered: list[Coverage | None] = []
     for name in evenly_spaced(names):
         try:
             photo = read_photo(folder, name)
-            if is_panorama(folder.path(name), photo):
-                panoramas.append(views_of(folder.path(name), photo))
-            else:
-                photos.append(photo)
+            covered.append(coverage_of(folder.path(name), photo))
+            read.append(photo)
         except CaptureError as error:
             errors.append(error)
+    every = list(zip(read, as_their_like(read, covered), strict=True))
+    panoramas = [views_of(folder.path(photo.name), photo, shown) for photo, shown in every if shown is not None]
+    photos = [photo for photo, shown in every if shown is None]
     used = evenly_spaced(panoramas, MAX_PHOTOS // VIEWS)
     photos += by_direction(used)
     if len(photos) < MIN_PHOTOS:
@@ -83,11 +84,10 @@ def read(folder: Folder) -> Capture:
 
 
 def _single_photo(folder: Folder, photo: Photo) -> Capture:
-    """Make a capture of kind "image" from one photo. Raises CAPTURE_LOW_OVERLAP where that shows 360 degrees."""
-    if is_panorama(folder.path(photo.name), photo):
-        raise CaptureError(
-            "CAPTURE_LOW_OVERLAP", say("one_panorama"), file=photo.name, hints=(say("take_panoramas_along_a_way"),)
-        )
+    """Make a capture of kind "image" from one photo. Raises CAPTURE_LOW_OVERLAP where that is a panorama."""
+    if (shown := coverage_of(folder.path(photo.name), photo)) is not None:
+        what = say("one_panorama") if shown.is_whole else say("one_panorama_of_degrees", degrees=shown.across)
+        raise CaptureError("CAPTURE_LOW_OVERLAP", what, file=photo.name, hints=(say("take_panoramas_along_a_way"),))
     warning = say("one_photo_shows", advice=WALK_AROUND_ADVICE)
     return Capture("image", "photo", photos=(photo,), verdicts=(PhotoVerdict(photo.name, "ok"),), warnings=(warning,))
 

@@ -8,25 +8,29 @@ from numpy.typing import ArrayLike
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import Capture, Cloud
 from capture2vr.edge.clouds.cloud import capture_of_cloud
+from capture2vr.edge.clouds.cloud_parts import projected
 from capture2vr.edge.clouds.colours import rgb8
 from capture2vr.edge.errors import CaptureError
+from capture2vr.order.reading import UnitName
 from capture2vr.sentences.sentence import say
 
 _NAME = "the array"  # in errors, where the name of a file would be
 
 
-def capture_of_points(xyz: ArrayLike, rgb: ArrayLike | None = None) -> Capture:
+def capture_of_points(xyz: ArrayLike, rgb: ArrayLike | None = None, *, unit: UnitName = "") -> Capture:
     """Return a capture of kind "points".
 
-    xyz  (N,3) positions in any unit
-    rgb  (N,3) sRGB, bytes or floats in [0,1]; None: without colours
+    xyz   (N,3) positions in any unit
+    rgb   (N,3) sRGB, bytes or floats in [0,1]; None: without colours
+    unit  "deg": longitudes, latitudes and heights in metres, which are projected; others change nothing here
 
     Raises CaptureError for arrays of another shape, for too few or too many points, for points on a line, and where
     more than a tenth of them are not finite; fewer are dropped with a warning.
     """
     points = triples(xyz, "points")
     colours = None if rgb is None else rgb8(triples(rgb, "colours", len(points)))
-    return capture_of_cloud(Cloud(points.astype(np.float64), colours), _NAME, "array")
+    cloud = Cloud(points.astype(np.float64), colours)
+    return capture_of_cloud(projected(cloud) if unit == "deg" else cloud, _NAME, "array")
 
 
 def triples(values: ArrayLike, what: str, count: int | None = None) -> Floats:

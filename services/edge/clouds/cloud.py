@@ -12,29 +12,33 @@ import numpy as np
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.files import Folder, unreadable
 from capture2vr.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
-from capture2vr.edge.capture.units import are_degrees, project_degrees
+from capture2vr.edge.capture.units import are_degrees
 from capture2vr.edge.clouds.cloud_parts import (
     MAX_BAD_SHARE,
     MAX_COORDINATE,
     dropped_warnings,
+    first_places,
+    projected,
+    projected_parts,
     read_some,
     returned,
     valid_mask,
 )
 from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_warning
 from capture2vr.edge.clouds.cloud_shape import check_shape
-from capture2vr.edge.clouds.las_units import las_metres
 from capture2vr.edge.clouds.meshes import is_binary_stl, read_mesh
 from capture2vr.edge.clouds.obj import read_obj
 from capture2vr.edge.clouds.pcd import read_pcd
 from capture2vr.edge.clouds.ply import PlyFile, ply_parts, read_ply
 from capture2vr.edge.clouds.raw_parts import RawParts
 from capture2vr.edge.clouds.sample_surface import ColourAt, SampledSurface, sample_surfaces
+from capture2vr.edge.clouds.stated_reference import GUESSED_DEGREES, StatedReference, stated_reference
 from capture2vr.edge.clouds.surface_colours import face_colours, vertex_colours
 from capture2vr.edge.clouds.table_text import decode_head
 from capture2vr.edge.clouds.tables import MAX_POINTS, looks_numeric, npy_parts, read_npy, read_table, too_many_points
 from capture2vr.edge.errors import CaptureError
-from capture2vr.order.reading import FileReading, TableColumns
+from capture2vr.edge.geodesy.place_on_earth import survey_up
+from capture2vr.order.reading import TableColumns
 from capture2vr.sentences.sentence import say
 
 MAX_PARTED_BYTES = 2**33  # of a file that is read in parts
@@ -48,8 +52,6 @@ SNIFF_BYTES = 2**16  # read of a file to detect its format
 _FAR_OFF = 100.0  # of a cloud's extent from the origin: below it float32 is exact to a hundred thousandth of that
 _SAMPLE = 100_000  # points used for the principal extents; fast also for a cloud of 20 million
 
-_EARTH_M = 6.33e6, 6.40e6  # from the middle of the earth to its surface
-_HIGHEST_M = 10_000.0  # a height above this is none
 UP_Y = (0.0, 1.0, 0.0)
 UP_Z = (0.0, 0.0, 1.0)
 
@@ -117,38 +119,46 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
 
     Of a cloud of more than LARGE points some are read now, and all of them in parts when they are asked for.
     """
-    path, reading = folder.path(name), folder.reading
+    reading = folder.reading
     if reading.columns and kind != "xyz":
         raise unreadable(name, say("columns_are_of_tables"), say("leave_columns_out"))
+    asked = stated = stated_reference(folder, name, kind)
     if (parts := _parts(folder, name, kind)) is not None:
-        if reading.unit == "deg":
-            raise unreadable(name, say("degrees_of_many_points"), say("downsample_point_cloud_example"))
+        if stated.in_degrees and not reading.unit:
+            stated = stated.fitting(first_places(parts, name))
+        parts, crs = projected_parts(parts, name, stated.crs) if stated.in_degrees else (parts, stated.crs)
         some, whole, warnings = read_some(parts, name, folder.tick)
-        read, metres = _capture(kind, name, some, warnings, whole), None
-    elif kind == "xyz":
-        _check_size(path, name, kind)
-        read, metres = _read_rows(path, name, reading)
+        read = _capture(kind, name, replace(some, crs=crs), warnings, whole)
     else:
-        cloud, warnings = _read(folder, name, kind)
-        read, metres = capture_of_cloud(_projected(cloud, reading.unit), name, kind, warnings), None
-    if kind == "las" and not reading.unit:
-        metres = las_metres(path, name)
-    return read if metres is None else replace(read, metres_per_unit=metres, scale_confidence="metric")
+        rows = _read_rows(folder, name, stated) if kind == "xyz" else (*_read(folder, name, kind), stated)
+        cloud, warnings, asked = rows
+        stated = asked if reading.unit else asked.fitting(cloud.xyz)
+        cloud = projected(cloud, stated.crs) if stated.in_degrees else replace(cloud, crs=stated.crs)
+        read = capture_of_cloud(cloud, name, kind, warnings)
+    if reading.unit:
+        return read
+    read = replace(read, warnings=(*_about_degrees(asked, stated, name), *read.warnings))
+    return read if stated.metres is None else replace(read, metres_per_unit=stated.metres, scale_confidence="metric")
 
 
-def _read_rows(path: Path, name: str, reading: FileReading) -> tuple[Capture, float | None]:
-    """Read a table of numbers; also return the metres of its unit, None where it is not known."""
+def _about_degrees(asked: StatedReference, used: StatedReference, name: str) -> tuple[str, ...]:
+    """Say what became of the degrees that a file states."""
+    if used.in_degrees:
+        return () if used.guessed else (say("degrees_were_projected", file=name),)
+    return (say("degrees_are_none", file=name),) if asked.in_degrees else ()
+
+
+def _read_rows(folder: Folder, name: str, stated: StatedReference) -> tuple[Cloud, tuple[str, ...], StatedReference]:
+    """Read a table of numbers; also return what it states of its coordinates, with the unit that its header names."""
+    path, reading = folder.path(name), folder.reading
+    _check_size(path, name, "xyz")
     told = TableColumns.parse(reading.columns) if reading.columns else None
-    cloud, warnings, metres = read_table(path, name, told)
-    if not reading.unit and metres is None and are_degrees(cloud.xyz):
-        cloud, metres = _projected(cloud, "deg"), 1.0
-        warnings = (*warnings, say("doubt_degrees"))
-    return capture_of_cloud(_projected(cloud, reading.unit), name, "xyz", warnings), metres
-
-
-def _projected(cloud: Cloud, unit: str) -> Cloud:
-    """Return a cloud with degrees projected to metres, where a person said that they are degrees."""
-    return replace(cloud, xyz=project_degrees(cloud.xyz)) if unit == "deg" else cloud
+    cloud, warnings, columns = read_table(path, name, told)
+    if columns.metres is not None and not reading.unit:
+        return cloud, warnings, stated.in_unit_of(columns.metres, degrees=columns.degrees)
+    if not reading.unit and stated.units is None and are_degrees(cloud.xyz):
+        return cloud, (*warnings, say("doubt_degrees")), GUESSED_DEGREES
+    return cloud, warnings, stated
 
 
 def capture_of_cloud(cloud: Cloud, name: str, kind: str, warnings: tuple[str, ...] = ()) -> Capture:
@@ -187,19 +197,9 @@ def _capture(kind: str, name: str, cloud: Cloud, warnings: tuple[str, ...], whol
     check_shape(cloud.xyz, name)
     warnings += tuple(say("file_note", file=name, note=note) for note in cloud.notes)
     frame = _FRAMES.get(kind, _Frame())
-    up = _survey_up(cloud.origin) if frame.up is None else np.array(frame.up)
+    up = np.array(UP_Y) if frame.up == UP_Y else survey_up(cloud.origin, cloud.crs)
+    up = np.array(frame.up) if up is None and frame.up else up
     return Capture("points", kind, cloud=cloud, whole=whole, scale_confidence=frame.scale, up=up, warnings=warnings)
-
-
-def _survey_up(origin: Floats | None) -> Floats | None:
-    """Return which way is up where coordinates are those of a survey, moved by `origin`; None where they are not.
-
-    In geocentric coordinates (ECEF) up is away from the middle of the earth, in projected ones it is Z.
-    """
-    if origin is None:
-        return None
-    away = float(np.linalg.norm(origin))
-    return origin / away if _EARTH_M[0] < away < _EARTH_M[1] and abs(origin[2]) > _HIGHEST_M else np.array(UP_Z)
 
 
 def _too_many_bytes(name: str, kind: str, limit: int) -> CaptureError:

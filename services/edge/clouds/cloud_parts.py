@@ -14,6 +14,8 @@ from capture2vr.edge.clouds.cloud_process import georeferenced_origin, moved_war
 from capture2vr.edge.clouds.colours import read_colours, rgb8, scale_of
 from capture2vr.edge.clouds.raw_parts import LARGE, RawPart, RawParts
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.geodesy.degrees import LocalMap
+from capture2vr.edge.geodesy.reference_system import reference_of
 from capture2vr.sentences.sentence import say
 
 MAX_COORDINATE = 1e6
@@ -79,6 +81,39 @@ def read_some(parts: RawParts, name: str, tick: Tick) -> tuple[Cloud, CloudParts
     warnings += dropped_warnings(some.xyz - clean.origin, name)
     whole = CloudParts(parts.count, lambda: map(clean, _translated(parts, name)))
     return replace(clean(some), notes=notes, origin=origin), whole, warnings
+
+
+def first_places(parts: RawParts, name: str) -> Floats:
+    """Return the coordinates (N,3) of the first part. Raises CAPTURE_UNREADABLE where that cannot be decoded."""
+    return next((part.xyz for part in _translated(parts, name)), np.zeros((0, 3)))
+
+
+def projected(cloud: Cloud, crs: str = "") -> Cloud:
+    """Return a cloud of longitudes, latitudes and heights in metres, on a map in metres around its middle.
+
+    crs  of the degrees, "" for WGS 84; where it is not understood, that of the map is not known either
+    """
+    xyz = returned(cloud.xyz) if cloud.origin is None else cloud.xyz + cloud.origin
+    around = LocalMap.around([xyz])
+    return replace(cloud, xyz=around.project(xyz), origin=None, crs=around.crs if _is_known(crs) else "")
+
+
+def projected_parts(parts: RawParts, name: str, crs: str = "") -> tuple[RawParts, str]:
+    """Return parts of longitudes, latitudes and heights, all on one map around the middle of the first, and its crs.
+
+    Raises CAPTURE_UNREADABLE where that cannot be decoded.
+    """
+    around = LocalMap.around(part.xyz for part in _translated(parts, name))
+
+    def read() -> Iterator[RawPart]:
+        for part in _translated(parts, name):
+            yield replace(part, xyz=around.project(part.xyz))
+
+    return replace(parts, read=read), around.crs if _is_known(crs) else ""
+
+
+def _is_known(crs: str) -> bool:
+    return not crs or reference_of(crs) is not None
 
 
 @dataclass(frozen=True, slots=True)

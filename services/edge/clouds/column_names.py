@@ -42,19 +42,25 @@ _UNITS: dict[Unit, str] = {
     "in": "in inch inches",
 }
 _METRES = {"km": 1e3} | {word: METRES[unit] for unit, words in _UNITS.items() for word in words.split()}
-_BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
+# Each of these costs no more than the length of a name, which may be a hostile line of 10,000 characters.
+_BRACKETS = re.compile(r"[\[({<]([^\])}>]{0,40}+)[\])}>]")
+_BEHIND = re.compile(rf"(?<![\s_/])[\s_/]++({'|'.join(_METRES)}|deg|degrees)\s*$", re.IGNORECASE)
+"""A unit behind a name, as in "x_m", "X/mm" and "lon_deg"."""
 
 
 def meaning_of(name: str) -> str:
     """Return what a column is: x, y, z, red, green, blue, nx, ny, nz, intensity, rf, gf, bf, latitude, longitude; or
-    its own name in lower case, where that is none of these. Units in brackets are no part of a name."""
-    word = _word(_BRACKETS.sub("", name))
-    return _MEANING.get(word) or _INDEXED.get(word) or name.strip().lower()
+    its own name in lower case, where that is none of these. Units in brackets or behind it are no part of a name."""
+    for each in (_BRACKETS.sub("", name), _BEHIND.sub("", name)):
+        if found := _MEANING.get(_word(each)) or _INDEXED.get(_word(each)):
+            return found
+    return name.strip().lower()
 
 
 def metres_of(name: str) -> float | None:
-    """Return the metres of the unit that a column's name has in brackets, as "X [mm]" has; None without one."""
-    found = _BRACKETS.search(name)
+    """Return the metres of the unit that a column's name has in brackets or behind it, as "X [mm]" and "x_mm" have;
+    None without one."""
+    found = _BRACKETS.search(name) or _BEHIND.search(name)
     return None if found is None else _METRES.get(_word(found.group(1)))
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import unescape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ MAGIC = b"ASTM-E57"
 _HEADER = struct.Struct("<8s2I4Q")  # magic, version, length of the file, offset and length of the XML, page size
 _PAGE, _PAYLOAD = 1024, 1020  # bytes of a page, with and without its checksum
 _MAX_XML = 64 * 2**20  # bytes; a thousand scans take one
+# Of as many characters as are kept of such a text, and some blanks.
+_METADATA = re.compile(rb"<coordinateMetadata\b[^<>]*+>\s*+(?:<!\[CDATA\[(.{0,9999}?)\]\]>|([^<]{0,9999}+))", re.DOTALL)
 _AXES = ("cartesianX", "cartesianY", "cartesianZ")
 _CHANNELS = ("colorRed", "colorGreen", "colorBlue")
 
@@ -60,8 +63,25 @@ def e57_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:
     return decode_to_disk("E57", path, file, count, tick)
 
 
+def e57_metadata(path: Path, file: str) -> str:
+    """Return the coordinate reference system of an E57, as well-known text; "" where it has none. Raises as `read_e57`
+    does for a damaged file. What comes through a gateway has none: it removes what tells a place."""
+    found = _METADATA.search(_xml(path, file))
+    if found is None:
+        return ""
+    text = (found[1] or found[2] or b"").decode("utf-8", "replace")
+    return text if found[1] else unescape(text, {"&quot;": '"'})
+
+
 def _record_counts(path: Path, file: str) -> list[int]:
-    """Return the number of points of each scan, from the XML, after checking the header against the file's size."""
+    """Return the number of points of each scan."""
+    tags = re.findall(rb"<points\b[^<>]*+", _xml(path, file))
+    counts = (re.search(rb"\brecordCount\s*=\s*[\"'](\d{1,18})[\"']", tag) for tag in tags)
+    return [int(count[1]) for count in counts if count is not None]
+
+
+def _xml(path: Path, file: str) -> bytes:
+    """Return the XML of an E57, after checking the header against the file's size."""
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(_HEADER.size)
@@ -76,25 +96,38 @@ def _record_counts(path: Path, file: str) -> list[int]:
         stream.seek(first)
         pages = stream.read((xml_length // _PAYLOAD + 2) * _PAGE)
     payload = b"".join(pages[at : at + _PAYLOAD] for at in range(0, len(pages), _PAGE))
-    xml = payload[offset % _PAGE :][:xml_length]
-    tags = re.findall(rb"<points\b[^<>]*+", xml)
-    counts = (re.search(rb"\brecordCount\s*=\s*[\"'](\d{1,18})[\"']", tag) for tag in tags)
-    return [int(count[1]) for count in counts if count is not None]
+    return payload[offset % _PAGE :][:xml_length]
 
 
 def iter_points(path: Path) -> Iterator[tuple[Floats, NDArray[Any] | None]]:
     """Decode scan by scan: xyz (N,3) float64 in the file's frame, and colours (N,3) uint8 or None.
 
-    Raises what pye57 raises.
+    Where no scan has colours these are the intensities, as grey of 16 bits. Raises what pye57 raises.
     """
     import pye57
 
     with pye57.E57(str(path)) as reader:
-        for number in range(reader.scan_count):
+        headers = [reader.get_header(number) for number in range(reader.scan_count)]
+        any_coloured = any(set(_CHANNELS) <= {*header.point_fields} for header in headers)
+        for number, header in enumerate(headers):
             scan = _read_scan(reader, number)
-            coloured = set(_CHANNELS) <= scan.keys()
-            colours = np.stack([scan[channel] for channel in _CHANNELS], axis=1) if coloured else None
+            colours = None if any_coloured else _grey(scan.get("intensity"), header)
+            if set(_CHANNELS) <= scan.keys():
+                colours = np.stack([scan[channel] for channel in _CHANNELS], axis=1)
             yield np.stack([scan[axis] for axis in _AXES], axis=1), colours
+
+
+def _grey(intensity: NDArray[Any] | None, header: Any) -> NDArray[Any] | None:
+    """Return a scan's intensities (N,) as grey (N,3) of 16 bits, in the range that its `intensityLimits` name, else in
+    their own; None where it has none."""
+    if intensity is None or not len(intensity):
+        return None
+    names = "intensityMinimum", "intensityMaximum"
+    low, high = float(intensity.min()), float(intensity.max())
+    if header.node.isDefined("intensityLimits") and all(map(header["intensityLimits"].isDefined, names)):
+        low, high = (float(header["intensityLimits"][name].value()) for name in names)
+    shades = np.clip((intensity - low) / (high - low), 0, 1) if high > low else np.zeros(len(intensity))
+    return np.repeat(np.rint(65535 * shades)[:, None], 3, axis=1).astype(np.uint16)
 
 
 def _read_scan(reader: Any, number: int) -> dict[str, NDArray[Any]]:
@@ -103,7 +136,7 @@ def _read_scan(reader: Any, number: int) -> dict[str, NDArray[Any]]:
 
     limits = _colour_limits(reader.get_header(number))
     if limits is None:
-        return dict(reader.read_scan(number, ignore_missing_fields=True))
+        return dict(reader.read_scan(number, intensity=True, ignore_missing_fields=True))
     usual = {channel: e57.SUPPORTED_POINT_FIELDS[channel] for channel in _CHANNELS}
     wide = any((low, high) != (0, 255) for low, high in limits)
     try:

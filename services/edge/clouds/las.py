@@ -15,8 +15,8 @@ from capture2vr.edge.arrays import Floats, Tick, no_tick
 from capture2vr.edge.capture.files import translate_errors, truncated, unreadable
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.clouds.cloud_process import decode_in_child, decode_to_disk, near_origin
-from capture2vr.edge.clouds.las_units import LasUnits, las_units
 from capture2vr.edge.clouds.raw_parts import LARGE, RawPart, RawParts
+from capture2vr.edge.clouds.stated_reference import LasUnits, las_units
 from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS, MAX_POINTS, too_many_points
 from capture2vr.edge.errors import CaptureError
 from capture2vr.sentences.sentence import say

@@ -10,7 +10,6 @@ import posixpath
 import warnings
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import chain, takewhile
 from typing import Any
 
@@ -19,21 +18,21 @@ from numpy.typing import NDArray
 
 from capture2vr.edge.arrays import Floats, Ints, Tick
 from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
-from capture2vr.edge.capture.images import check_header, header_size, read_bytes
+from capture2vr.edge.capture.images import read_bytes
 from capture2vr.edge.capture.nouns import Cloud
 from capture2vr.edge.capture.text_encoding import decode_text, encoding_of
 from capture2vr.edge.clouds.colours import read_colours
-from capture2vr.edge.clouds.obj_materials import Material, ObjColours, read_mtl
+from capture2vr.edge.clouds.obj_materials import Material, ObjColours, read_mtl, texture_size, without_remark
 from capture2vr.edge.clouds.sample_surface import MAX_FACES, SampledSurface, too_many_faces
 from capture2vr.edge.clouds.surface_colours import TexturePixels, absent_textures
 from capture2vr.edge.clouds.table_rows import NO_NUMBER
+from capture2vr.edge.clouds.table_text import text_lines
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.mesh.polygons import triangulate
 from capture2vr.sentences.sentence import say
 
 MAX_MATERIALS = 500  # scanners write tens; a large texture takes a second to decode
 MAX_LIBRARIES = 100  # files of materials; programs write one, or one for each part that was joined
-_MAX_LINE = 2**20  # bytes: a polygon of a hundred thousand corners
 _PACKED = 200_000  # rows or faces that wait as words before they become numbers: words take ten times as much memory
 _COLOURED, _NO_COLOUR = 6, [b"nan"] * 3  # numbers of a vertex with a colour; what stands for the colour of another
 _HEAD = 2**12  # bytes by which the encoding is told
@@ -69,9 +68,7 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     used = [known.get(name, Material()) for name in reader.materials]
     pixels = TexturePixels(file)
     for name in {each.texture for each in used if each.texture}:
-        data = read_bytes(folder.path(name), name)
-        check_header(data, name)
-        pixels.add(header_size(data) or (1, 1))
+        pixels.add(texture_size(folder, name))
     uv = np.zeros((len(coordinates), 2))
     uv[:, : coordinates.shape[1]] = coordinates[:, :2]
     colours = ObjColours(folder, used, material, uv, uv_faces, faces, rgb)
@@ -130,7 +127,7 @@ class _Rows:
         if least < width:
             self._words = [row if len(row) >= width else [*row[:3], *_NO_COLOUR] for row in self._words]
         words = list(chain.from_iterable(row[:width] for row in self._words))
-        self._arrays.append(_numbers(words, np.float64).reshape(-1, width))
+        self._arrays.append(numbers_of(words, np.float64).reshape(-1, width))
         self._words.clear()
 
 
@@ -152,14 +149,13 @@ class _Reader:
 
     def read(self, data: bytes, tick: Tick) -> None:
         """Read all lines. A backslash at the end of one continues it on the next."""
-        if b"\\\n" in data or b"\\\r\n" in data:
-            data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-        lines = BytesIO(data)
-        for number, line in enumerate(lines):
+        for ending in (b"\\\r\n", b"\\\n", b"\\\r"):
+            data = data.replace(ending, b" ")
+        at = 0
+        for number, line in enumerate(text_lines(data, self._file)):
+            at += len(line)
             if number % _TICK == 0:
-                tick(lines.tell() / len(data))
-            if len(line) > _MAX_LINE:
-                raise unreadable(self._file, say("has_line_bytes_most_read", length=len(line), most=_MAX_LINE))
+                tick(at / len(data))
             self._read_line(line)
 
     def triangles(self, xyz: Floats, coordinates: int) -> tuple[Ints, Ints, Ints]:
@@ -231,7 +227,7 @@ class _Reader:
 
 
 def _rest(line: bytes) -> str:
-    return decode_text(line.split(None, 1)[1].strip())
+    return without_remark(decode_text(line.split(None, 1)[1]))
 
 
 def _corner_indices(corners: list[bytes]) -> Ints:
@@ -239,18 +235,18 @@ def _corner_indices(corners: list[bytes]) -> Ints:
     text = b" ".join(corners)
     slashes = text.count(b"/")
     if slashes == 0:
-        vertex = _numbers(corners, np.int64)
+        vertex = numbers_of(corners, np.int64)
         return np.stack([vertex, np.zeros_like(vertex)], axis=1)
     alike = {corner.count(b"/") for corner in corners}
     words = text.replace(b"//", b"/0/").replace(b"/", b" ").split()
     if len(alike) == 1 and len(words) == len(corners) + slashes:
-        return _numbers(words, np.int64).reshape(len(corners), -1)[:, :2]
+        return numbers_of(words, np.int64).reshape(len(corners), -1)[:, :2]
     pairs = ((*corner.split(b"/"), b"")[:2] for corner in corners)
     numbers = (int(number or b"0") for pair in pairs for number in pair)
     return np.fromiter(numbers, np.int64, 2 * len(corners)).reshape(-1, 2)
 
 
-def _numbers(words: list[bytes], kind: type[np.float64 | np.int64]) -> NDArray[Any]:
+def numbers_of(words: list[bytes], kind: type[np.float64 | np.int64]) -> NDArray[Any]:
     """Read one number of each word. Raises ValueError."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # what NumPy says of text that is no number

@@ -15,8 +15,9 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bytes, Floats, Ints
 from capture2vr.edge.capture.colour_profile import rgb_of
+from capture2vr.edge.capture.exr import EXR_MAGIC, decode_exr_colours, exr_size
 from capture2vr.edge.capture.files import Folder, read_text, translate_errors
-from capture2vr.edge.capture.images import check_pixels, read_bytes
+from capture2vr.edge.capture.images import check_header, check_pixels, header_size, read_bytes
 from capture2vr.edge.clouds.surface_colours import nearest_texels, vertex_colours
 
 _OPTION = re.compile(
@@ -25,6 +26,14 @@ _OPTION = re.compile(
     re.IGNORECASE,
 )
 """An option of a texture, with the space behind it: at least its name must follow."""
+
+
+_REMARK = re.compile(r"\s#(?:\s.*)?$", re.DOTALL)
+
+
+def without_remark(text: str) -> str:
+    """Return what a line says, without the remark behind it: of "Material #25" the number is a part of the name."""
+    return _REMARK.sub("", text.strip()).strip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +65,7 @@ def read_mtl(folder: Folder, file: str, used: Collection[str]) -> dict[str, Mate
         words = line.split(None, 1)
         if len(words) < 2:
             continue
-        key, rest = words[0].lower(), words[1].strip()
+        key, rest = words[0].lower(), without_remark(words[1])
         if key == "newmtl":
             name = rest if rest in used else None
             if name is not None:
@@ -149,6 +158,17 @@ class ObjColours:
         return rgb
 
 
+def texture_size(folder: Folder, name: str) -> tuple[int, int]:
+    """Return a texture's (width, height) from its header, (1, 1) where only its decoder can tell.
+
+    Raises IMAGE_TOO_LARGE and IMAGE_UNREADABLE."""
+    data = read_bytes(folder.path(name), name)
+    if data.startswith(EXR_MAGIC):
+        return exr_size(data, name)
+    check_header(data, name)
+    return header_size(data) or (1, 1)
+
+
 def _diffuse(material: Material) -> Bytes:
     """RGB of a material's colour; white where it has a texture, whose coordinates are missing, or no colour."""
     if material.texture or material.diffuse is None:
@@ -161,6 +181,9 @@ def _decode(folder: Folder, name: str) -> Bytes:
     """Decode a texture to (H,W,3) uint8."""
     from PIL import Image
 
-    with translate_errors(name, "picture"), Image.open(BytesIO(read_bytes(folder.path(name), name))) as image:
+    data = read_bytes(folder.path(name), name)
+    if data.startswith(EXR_MAGIC):
+        return decode_exr_colours(data, name)
+    with translate_errors(name, "picture"), Image.open(BytesIO(data)) as image:
         check_pixels(image.size, name)
         return rgb_of(image)

@@ -48,6 +48,7 @@ _TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+_END = re.compile(rb"^[ \t]*+end_header[^\n]*+\n", re.MULTILINE)  # of the header: in a remark the words are none
 _TEXTURE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+(\S[^\r\n]*)", re.MULTILINE)
 _SPLAT = ("f_dc_0", "f_dc_1", "f_dc_2")
 _HARMONIC = 0.28209479177387814  # the spherical harmonic of degree 0, which is constant: 1 / (2 sqrt(pi))
@@ -162,13 +163,12 @@ def _texture_warning(name: bytes, cloud: Cloud, file: str) -> str:
 
 def _header(head: bytes, file: str) -> tuple[list[PlyElement], str, int]:
     """Parse the header: the elements, the byte order ("" is ASCII), and the offset of the data."""
-    end = head.find(b"end_header")
-    stop = head.find(b"\n", end) if end >= 0 else -1
-    if stop < 0:
+    end = _END.search(head)
+    if end is None:
         raise truncated(file, say("cut_off_inside_ply_header"))
     order: str | None = None
     elements: list[PlyElement] = []
-    for line in head[:end].decode("latin-1").splitlines()[1:]:
+    for line in head[: end.start()].decode("latin-1").split("\n")[1:]:
         words = line.split()
         if words[:1] == ["format"] and len(words) > 1:
             order = _ORDERS.get(words[1])
@@ -181,7 +181,7 @@ def _header(head: bytes, file: str) -> tuple[list[PlyElement], str, int]:
             elements[-1] = PlyElement(last.name, last.count, (*last.properties, _property(words[1:])))
     if order is None or any(element.count < 0 for element in elements):
         raise unreadable(file, say("has_ply_header_without_known"))
-    return elements, order, stop + 1
+    return elements, order, end.end()
 
 
 def _check_header_count(word: str, count: int, most: int, file: str) -> None:

@@ -12,7 +12,7 @@ from capture2vr.edge.clouds.column_names import meanings, metres_of
 from capture2vr.edge.clouds.table_dialect import Dialect, is_remark
 from capture2vr.order.reading import TableColumns
 
-_POINT = ("x", "y", "z")
+_POINTS = (("x", "y", "z"), ("longitude", "latitude", "z"))
 _COLOURS = (("red", "green", "blue"), ("rf", "gf", "bf"))
 _NORMALS = ("nx", "ny", "nz")
 _SOME_NUMBERS = 0.5
@@ -28,14 +28,14 @@ _SECONDS = 1e8
 def named_by(header: Sequence[str], dialect: Dialect, width: int) -> tuple[TableColumns | None, list[str]]:
     """Return the columns that one of the lines above the rows names, the last one first, and the names that it has.
 
-    A line that names no x, y and z names no columns. A remark does where it has as many names as there are columns: a
-    sentence about x, y and z is none. R writes no name for the numbers of the rows.
+    A line that names no x, y and z names no columns, nor longitude, latitude and height. A remark does where it has as
+    many names as there are columns: a sentence about x, y and z is none. R writes no name for the numbers of the rows.
     """
     for line in reversed(header):
         for names, shift in _readings(line, dialect, width):
             found = meanings(names)
-            if {*_POINT} <= {*found}:
-                return _of_names(names, found, shift), found
+            if (point := next((each for each in _POINTS if {*each} <= {*found}), None)) is not None:
+                return _of_names(names, found, shift, point), found
             if {"latitude", "longitude"} <= {*found}:
                 return None, found
     names = dialect.fields(header[-1]) if header and not is_remark(header[-1]) else []
@@ -47,23 +47,25 @@ def _readings(line: str, dialect: Dialect, width: int) -> Iterator[tuple[list[st
     remark, text = is_remark(line), line.strip().lstrip("#/%! ")
     for separator in dict.fromkeys((dialect.separator, "\t", ";", ",", " ")):
         names = Dialect(separator, ".", '"' in text).fields(text)
-        if len(names) == width or not remark:
+        if len(names) in (width, width + 1) or not remark:  # the last column may be empty
             yield names, int(len(names) == width - 1)
 
 
-def _of_names(names: Sequence[str], found: Sequence[str], shift: int) -> TableColumns:
+def _of_names(names: Sequence[str], found: Sequence[str], shift: int, point: Sequence[str]) -> TableColumns:
     at = {meaning: number + shift for number, meaning in reversed(list(enumerate(found)))}
 
     def triple(wanted: Sequence[str]) -> tuple[int, ...]:
         return tuple(at[each] for each in wanted) if all(each in at for each in wanted) else ()
 
-    units = {metres_of(names[at[axis] - shift]) for axis in _POINT}
+    degrees = point != _POINTS[0]
+    units = {metres_of(names[at[axis] - shift]) for axis in (point[2:] if degrees else point)}
     return TableColumns(
-        triple(_POINT),
+        triple(point),
         triple(_COLOURS[0]) or triple(_COLOURS[1]),
         triple(_NORMALS),
-        at["intensity"] if at.get("intensity", -1) > at["x"] else None,  # in front of them an "i" is an index
+        at["intensity"] if at.get("intensity", -1) > at[point[0]] else None,  # in front of them an "i" is an index
         units.pop() if len(units) == 1 else None,
+        degrees,
     )
 
 

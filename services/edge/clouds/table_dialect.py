@@ -17,9 +17,18 @@ _FEWEST = 3
 """Numbers in a row: x, y and z."""
 _ENOUGH = 0.5
 """Share of the lines that are such rows: the others are headers, remarks and counts."""
-_NAN = r"[-+]?(?:nan|inf(?:inity)?|1\.#\w+)(?:\(\w*\))?"
-_POINT = re.compile(rf"[-+]?(?:\d+\.?\d*|\.\d+)(?:[ed][-+]?\d+)?|[-+]?\d{{1,3}}(?:,\d{{3}})+\.\d+|{_NAN}", re.I)
-_COMMA = re.compile(rf"[-+]?(?:\d+,?\d*|,\d+)(?:[ed][-+]?\d+)?|[-+]?\d{{1,3}}(?:\.\d{{3}})+,\d+|{_NAN}", re.I)
+_SIGN, _GROUP = "[-+\u2212]?", "[ \u00a0\u202f'\u2019]"
+"""A minus may be typographic; what stands at the thousands, besides the mark that is not the decimals'."""
+_NAN = rf"{_SIGN}(?:nan|inf(?:inity)?|1\.#\w+)(?:\(\w*\))?"
+_POINT = re.compile(
+    rf"{_SIGN}(?:\d+\.?\d*|\.\d+)(?:[ed][-+]?\d+)?|{_SIGN}\d{{1,3}}(?:(?:,|{_GROUP})\d{{3}})+\.\d+|{_NAN}", re.I
+)
+_COMMA = re.compile(
+    rf"{_SIGN}(?:\d+,?\d*|,\d+)(?:[ed][-+]?\d+)?|{_SIGN}\d{{1,3}}(?:(?:\.|{_GROUP})\d{{3}})+,\d+|{_NAN}", re.I
+)
+_NO_MARKS = str.maketrans({**dict.fromkeys(" \u00a0\u202f'\u2019"), "\u2212": "-"})
+_THOUSANDS = {mark: re.compile(rf"(?<=\d)(?<!\b0){re.escape(other)}(?=\d{{3}}(?!\d))") for mark, other in (".,", ",.")}
+"""The mark at the thousands by the decimals': what stands elsewhere is none, or 4.5 among 4,25 would be 45."""
 _GLUED = re.compile(r"[-+.\d]*\d(?:[;,|\s]+[-+]?[.\d]+)+[;,|\s]*")
 """Several numbers: a field like that is cut at the wrong separator."""
 _ANY = re.compile(r"[\s,;]+")
@@ -56,15 +65,20 @@ class Dialect:
     def as_python(self, text: str) -> str:
         """Write the numbers in a text as Python reads them."""
         if self.decimal == ",":
-            return text.replace(".", "").replace(",", ".") if self.separator != "," or self.quoted else text
-        return text.replace(",", "") if self.separator not in (",", "") and "," in text else text
+            return self._without_thousands(text).replace(",", ".") if self.separator != "," or self.quoted else text
+        return self._without_thousands(text) if self.separator not in (",", "") else text
+
+    def _without_thousands(self, text: str) -> str:
+        return _THOUSANDS[self.decimal].sub("", text)
 
     def value(self, field: str) -> float | None:
         """Return a field's number; NaN where it is empty or says that there is none; None where it is a text."""
         if field.lower() in _NONE:
             return float("nan")
         try:
-            return float(self.as_python(field).replace("d", "e").replace("D", "e"))
+            bare = self._without_thousands(field.translate(_NO_MARKS) if self.is_number(field) else field)
+            bare = bare.replace(",", ".") if self.decimal == "," else bare
+            return float(bare.replace("d", "e").replace("D", "e"))
         except ValueError:
             return None
 
@@ -94,20 +108,22 @@ def dialect_of(lines: Sequence[str]) -> Dialect | None:
     """Tell how the rows among some lines of a table are written; None where they are no rows of numbers.
 
     A separator is right where no field is several numbers, and "4,830<tab>3,232" are two of them; then a decimal mark
-    is right with which the fields are numbers.
+    is right with which more fields are numbers: whole ones, as of colours, are some with either.
     """
     quoted = any('"' in line for line in lines)
     for separator in _SEPARATORS:
-        for decimal in ".,":
-            if decimal == "," and (separator == "" or (separator == "," and not quoted)):
-                continue
-            tried = Dialect(separator, decimal, quoted)
-            if lines and sum(map(tried.is_row, lines)) >= _ENOUGH * len(lines):
-                return tried
+        with_commas = separator != "" and (separator != "," or quoted)
+        tried = [Dialect(separator, decimal, quoted) for decimal in (".," if with_commas else ".")]
+        numbers = [[each.numbers(line) for line in lines] for each in tried]
+        best = max(range(len(tried)), key=lambda at: sum(numbers[at]))
+        if lines and sum(count >= _FEWEST for count in numbers[best]) >= _ENOUGH * len(lines):
+            return tried[best]
     return None
 
 
 def width_of(dialect: Dialect, lines: Sequence[str]) -> int:
-    """Return how many fields most rows among some lines have."""
-    counted = Counter(len(dialect.fields(line)) for line in lines if dialect.is_row(line))
+    """Return how many fields most rows among some lines have, without an empty last one: many rows end with a
+    separator, and their header does not."""
+    rows = [dialect.fields(line) for line in lines if dialect.is_row(line)]
+    counted = Counter(len(fields) - (not fields[-1]) for fields in rows)
     return counted.most_common(1)[0][0]

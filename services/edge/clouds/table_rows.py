@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.clouds.table_dialect import Dialect, is_content
+from capture2vr.order.reading import TableColumns
 
 _BLOCK = 500  # lines that are read one by one where one of them is odd
 NO_NUMBER = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.I)
 """What programs write in place of a number that is none: 1.#IND by Microsoft's compiler, nan(ind) by others."""
-"""What Microsoft's C library prints for NaN and infinity."""
+_SHOWN_ROWS, _SHOWN_COLUMNS, _SHOWN_CHARACTERS = 4, 12, 16
+"""Of a table that a person is asked about: what a phone's screen has room for. Columns that were taken come on top."""
 
 
 @dataclass
@@ -86,3 +89,21 @@ class RowReader:
                 self.dropped += 1
             else:
                 yield row
+
+
+def shown_rows(lines: Sequence[str], dialect: Dialect, columns: TableColumns) -> Mapping[str, Any]:
+    """Return the first rows of a table for a person who says which column is which: `columns` as an option has them,
+    `numbers` (from 1) of those that are shown, and `rows` of their cells.
+
+    Of texts there is only a sign: what people wrote into a scan is nothing that its asset should tell.
+    """
+    rows = [dialect.fields(line) for line in lines[:_SHOWN_ROWS]]
+    width = min(_SHOWN_COLUMNS, max(map(len, rows), default=0))
+    numbers = sorted({*range(width), *columns.used})
+    cells = [[_shown(row[number], dialect) if number < len(row) else "" for number in numbers] for row in rows]
+    return {"columns": columns.as_text, "numbers": [number + 1 for number in numbers], "rows": cells}
+
+
+def _shown(cell: str, dialect: Dialect) -> str:
+    cut = cell if len(cell) <= _SHOWN_CHARACTERS else f"{cell[: _SHOWN_CHARACTERS - 1]}…"
+    return cut if not cell or dialect.is_number(cell) else "…"

@@ -20,12 +20,12 @@ from capture2vr.edge.clouds.column_names import meanings
 from capture2vr.edge.clouds.raw_parts import LARGE, PART, RawPart, RawParts
 from capture2vr.edge.clouds.table_columns import named_by, without_names
 from capture2vr.edge.clouds.table_dialect import Dialect, dialect_of, is_content, width_of
-from capture2vr.edge.clouds.table_rows import RowReader
+from capture2vr.edge.clouds.table_rows import RowReader, shown_rows
 from capture2vr.edge.clouds.table_text import pieces
-from capture2vr.edge.clouds.unnamed_columns import MOST_COLUMNS, column_layout
+from capture2vr.edge.clouds.unnamed_columns import MOST_COLUMNS, ColumnLayout, column_layout
 from capture2vr.edge.errors import CaptureError
 from capture2vr.order.reading import TableColumns
-from capture2vr.sentences.sentence import say
+from capture2vr.sentences.sentence import say, with_values
 
 MAX_PARTED_POINTS = 200_000_000  # of files that are read in parts: 8 bytes each while a scene is sorted into tiles
 MAX_POINTS = 20_000_000  # 20 million points of 24 bytes are 480 MB; a phone's scan has one to five million
@@ -42,13 +42,8 @@ _NORMAL = (("nx", "ny", "nz"),)
 
 def too_many_points(count: int, file: str, most: int = MAX_POINTS) -> CaptureError:
     """Return a CAPTURE_TOO_LARGE error for a file of `count` points."""
-    hint = say("downsample_point_cloud_example")
-    return CaptureError(
-        "CAPTURE_TOO_LARGE",
-        say("has_points_most_points_read", count=count, most=most),
-        file=file,
-        hints=(hint,),
-    )
+    what = say("has_points_most_points_read", count=count, most=most)
+    return CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=(say("downsample_point_cloud_example"),))
 
 
 def read_npy(path: Path, file: str) -> Cloud:
@@ -60,7 +55,8 @@ def read_npy(path: Path, file: str) -> Cloud:
         raise unreadable(file, say("has_array_shape_points_need", shape=array.shape))
     if len(array) > MAX_POINTS:
         raise too_many_points(len(array), file)
-    return _unnamed_columns(array.astype(np.float64))
+    table = array.astype(np.float64)
+    return _unnamed_columns(table, column_layout(table))
 
 
 def npy_parts(path: Path, file: str) -> RawParts | None:
@@ -102,8 +98,8 @@ def looks_numeric(text: str) -> bool:
     return sum(map(dialect.is_row, rows)) >= (_ENOUGH_NAMED if named else _ENOUGH_ROWS) * len(rows)
 
 
-def read_table(path: Path, file: str, told: TableColumns | None = None) -> tuple[Cloud, tuple[str, ...], float | None]:
-    """Read a point cloud from rows of numbers: the cloud, warnings, and the metres of the unit that its header names.
+def read_table(path: Path, file: str, told: TableColumns | None = None) -> tuple[Cloud, tuple[str, ...], TableColumns]:
+    """Read a point cloud from rows of numbers: the cloud, warnings, and its columns, with the unit of the coordinates.
 
     The encoding, the separator and the decimal mark are told by the rows. A header line names the columns, also where
     it is a remark. Without one the first three columns of numbers are x, y and z, but for leading ones that count; what
@@ -115,9 +111,15 @@ def read_table(path: Path, file: str, told: TableColumns | None = None) -> tuple
         layout = _layout_of(path, file, told)
         reader = RowReader(layout.dialect, layout.used)
         table = _read_rows(reader, path, layout, file)
-    columns = layout.columns
-    cloud = _of_columns(table, columns) if columns else _unnamed_columns(table, counted=layout.counted)
-    return cloud, _notes(reader, len(table), file, told=told is not None), columns.metres if columns else None
+    if layout.columns:
+        cloud, columns = _of_columns(table, layout.columns), layout.columns
+    else:
+        places = column_layout(table, counted=layout.counted)
+        cloud, columns = _unnamed_columns(table, places), places.among(layout.used)
+    cloud = replace(cloud, of_table=shown_rows(layout.rows, layout.dialect, columns))
+    notes = () if told else _notes(layout, cloud, file)
+    columns = replace(columns, metres=1.0) if columns.degrees else columns  # heights are in metres now
+    return cloud, (*notes, *_left_out(reader, len(table), file)), columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +131,7 @@ class _Layout:
     columns         that its header names; None without one
     used            the numbers of the columns that are read
     counted         whether the number of points stands above the rows, as in a .pts
+    rows            the first ones, as they are written
     """
 
     encoding: str
@@ -138,6 +141,7 @@ class _Layout:
     columns: TableColumns | None
     used: tuple[int, ...]
     counted: bool
+    rows: Sequence[str]
 
 
 def _layout_of(path: Path, file: str, told: TableColumns | None) -> _Layout:
@@ -152,27 +156,28 @@ def _layout_of(path: Path, file: str, told: TableColumns | None) -> _Layout:
     width = width_of(dialect, below)
     columns, names = named_by(header, dialect, width)
     if told is not None:
-        columns = replace(_there(told, width, file), metres=columns.metres if columns else None)
+        columns = _there(told, columns, width, file)
     if columns is None and names:
-        raise _no_coordinates(names, file)
+        raise _no_columns(names, file)
     used = columns.used if columns else without_names([dialect.fields(line) for line in below], dialect)[:MOST_COLUMNS]
     if len(used) < 3:
         raise unreadable(file, say("has_columns_points_need_least", count=len(used)))
-    return _Layout(encoding, mark, dialect, first, columns, used, any(line.strip().isdigit() for line in header))
+    counted = any(line.strip().isdigit() for line in header)
+    return _Layout(encoding, mark, dialect, first, columns, used, counted, below)
 
 
-def _there(told: TableColumns, width: int, file: str) -> TableColumns:
-    """Return the columns that a person told. Raises CAPTURE_UNREADABLE where a table is not as wide."""
+def _there(told: TableColumns, named: TableColumns | None, width: int, file: str) -> TableColumns:
+    """Return the columns that a person told, in the unit of those that the header names. Raises CAPTURE_UNREADABLE
+    where a table is not as wide."""
     if (last := 1 + max(told.used)) > width:
         raise unreadable(file, say("has_only_columns", count=width, named=last), say("number_columns_from_one"))
-    return told
+    if named is None or (named.degrees and {*told.xyz[:2]} != {*named.xyz[:2]}):
+        return told
+    return replace(told, metres=named.metres, degrees=named.degrees)
 
 
-def _no_coordinates(names: Sequence[str], file: str) -> CaptureError:
-    """Return the error for a header that names no x, y and z."""
-    if "latitude" in names:
-        hint = say("project_degrees_to_metres")
-        return CaptureError("CAPTURE_UNREADABLE", say("has_coordinates_in_degrees"), file=file, hints=(hint,))
+def _no_columns(names: Sequence[str], file: str) -> CaptureError:
+    """Return the error for names of columns none of which are x, y and z."""
     return unreadable(file, say("has_no_columns_x_y", names=", ".join(names[:12])))
 
 
@@ -227,19 +232,28 @@ def _of_columns(table: Floats, columns: TableColumns) -> Cloud:
     at = 3 + len(columns.rgb)
     intensity = None if columns.intensity is None else table[:, -1]
     rgb, notes = read_colours(table[:, 3:at] if columns.rgb else None, intensity)
-    return Cloud(table[:, :3], rgb, unit_normals(table[:, at : at + 3]) if columns.normals else None, notes)
+    xyz = table[:, :3] * (1, 1, columns.metres or 1) if columns.degrees else table[:, :3]
+    return Cloud(xyz, rgb, unit_normals(table[:, at : at + 3]) if columns.normals else None, notes)
 
 
-def _notes(reader: RowReader, count: int, file: str, *, told: bool) -> tuple[str, ...]:
-    """Say what was taken for what, where that is not plain, x, y, z in front with decimal points, and nobody told."""
-    notes = []
-    x, y, z = reader.used[:3]
-    if not told and ((x, y, z) != (0, 1, 2) or reader.dialect.decimal == ","):
-        marks = say("decimal_commas") if reader.dialect.decimal == "," else say("decimal_points")
-        notes.append(say("columns_taken", file=file, x=x + 1, y=y + 1, z=z + 1, marks=marks))
-    if reader.dropped:
-        notes.append(say("rows_without_numbers_left_out", file=file, count=reader.dropped, rows=count + reader.dropped))
-    return tuple(notes)
+def _notes(layout: _Layout, cloud: Cloud, file: str) -> tuple[str, ...]:
+    """Say what was taken for what, where that is not plain, x, y, z in front with decimal points.
+
+    It is a question where no header names the columns, and they were guessed.
+    """
+    x, y, z = (column + 1 for column in layout.used[:3])
+    in_front = (x, y, z) == (1, 2, 3)
+    if in_front and layout.dialect.decimal == ".":
+        return ()
+    marks = say("decimal_commas") if layout.dialect.decimal == "," else say("decimal_points")
+    if in_front or layout.columns:
+        return (say("columns_read", file=file, x=x, y=y, z=z, marks=marks),)
+    return (with_values(say("columns_taken", file=file, x=x, y=y, z=z, marks=marks), cloud.of_table),)
+
+
+def _left_out(reader: RowReader, count: int, file: str) -> tuple[str, ...]:
+    dropped = reader.dropped
+    return (say("rows_without_numbers_left_out", file=file, count=dropped, rows=count + dropped),) if dropped else ()
 
 
 def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
@@ -256,7 +270,7 @@ def _by_meaning(columns: dict[str, NDArray[Any]], file: str) -> dict[str, NDArra
     """Return the columns by what they are. Raises CAPTURE_UNREADABLE without x, y and z."""
     found = dict(zip(meanings(list(columns)), columns.values(), strict=True))
     if not all(name in found for name in _XYZ):
-        raise unreadable(file, say("has_no_columns_x_y", names=", ".join(list(columns)[:12])))
+        raise _no_columns([*columns], file)
     return found
 
 
@@ -268,10 +282,9 @@ def first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, ..
     return None
 
 
-def _unnamed_columns(table: Floats, *, counted: bool = False) -> Cloud:
+def _unnamed_columns(table: Floats, places: ColumnLayout) -> Cloud:
     """Make a cloud from columns without names: x y z, then colours and normals, told apart by their values."""
-    layout = column_layout(table, counted=counted)
-    colours, normals = (None if at is None else table[:, at : at + 3] for at in layout)
+    colours, normals = (None if at is None else table[:, at : at + 3] for at in places)
     rgb, notes = read_colours(colours)
     return Cloud(table[:, :3], rgb, unit_normals(normals) if normals is not None else None, notes)
 

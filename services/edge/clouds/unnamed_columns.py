@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture2vr.edge.arrays import Floats
+from capture2vr.order.reading import TableColumns
 
 _SAMPLE = 10_000  # rows that are looked at, evenly spaced; a file that is read in parts is not read for this
 MOST_COLUMNS = 10  # that are looked at: x y z, an intensity, colours and normals
@@ -20,6 +21,11 @@ class ColumnLayout(NamedTuple):
 
     colours: int | None
     normals: int | None
+
+    def among(self, used: Sequence[int]) -> TableColumns:
+        """Return the columns by their numbers in the file, of whose columns `used` are read."""
+        colours, normals = (() if at is None else tuple(used[at : at + 3]) for at in self)
+        return TableColumns(tuple(used[:3]), colours, normals)
 
 
 def column_layout(table: NDArray[Any], *, counted: bool = False) -> ColumnLayout:

@@ -81,11 +81,10 @@ def _glb(bundle: BundleFolder, key: str) -> bytes:
 
 def _placed(bundle: BundleFolder, glb: bytes) -> bytes:
     """Return a .glb whose extras say where the object of a survey stands: at the inverse of capture_to_asset, (4,4) row
-    by row, times a place in the file, plus capture_offset."""
-    offset = bundle.manifest.get("capture_offset")
-    if offset is None:
-        return glb
-    return with_extras(glb, {"capture_offset": offset, "capture_to_asset": bundle.manifest["capture_to_asset"]})
+    by row, times a place in the file, plus capture_offset, in the coordinate reference system capture_crs."""
+    known = {name: bundle.manifest.get(name) for name in ("capture_offset", "capture_crs")}
+    extras = {name: value for name, value in known.items() if value is not None}
+    return with_extras(glb, {**extras, "capture_to_asset": bundle.manifest["capture_to_asset"]}) if extras else glb
 
 
 def _glb_meshopt(bundle: BundleFolder, key: str) -> bytes:

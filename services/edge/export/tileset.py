@@ -15,6 +15,7 @@ import numpy as np
 
 import capture2vr
 from capture2vr.edge.arrays import Floats
+from capture2vr.edge.export.z_up import Z_UP
 from capture2vr.storage.bundle import content_name
 
 TILESET_FILE = "tileset.json"
@@ -52,19 +53,25 @@ class TilesetNode:
             yield from child
 
 
-def tileset_json(root: TilesetNode) -> bytes:
+def tileset_json(root: TilesetNode, to_earth: Floats | None = None) -> bytes:
     """Write a tree of tiles as tileset.json, which lies beside the contents.
+
+    to_earth  (4,4) from the asset frame to geocentric coordinates (ECEF) in metres; None: the place is unknown
 
     Raises ValueError where a tile's box leaves its parent's, or its error exceeds its parent's: a viewer that trusts
     the parent would never draw it.
     """
     for tile in root:
         _check_children(tile)
-    document = {
+    document: dict[str, Any] = {
         "asset": {"version": "1.1", "generator": f"capture2vr {capture2vr.__version__}"},
         "geometricError": _UNSEEN * max(root.error_m, float(np.linalg.norm(root.high_m - root.low_m)) / 100),
         "root": {"refine": "REPLACE", **_tile(root)},
     }
+    if to_earth is not None:
+        turned = to_earth.copy()
+        turned[:3, :3] = to_earth[:3, :3] @ Z_UP.T
+        document["root"]["transform"] = turned.T.ravel().tolist()  # column by column
     return json.dumps(document, separators=(",", ":"), sort_keys=True).encode()
 
 

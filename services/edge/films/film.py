@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from capture2vr.edge.capture.files import Folder, translate_errors, unreadable
 from capture2vr.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo
-from capture2vr.edge.capture.photos import pictures
+from capture2vr.edge.capture.panorama import ALL_SIDES, VIEWS, by_direction, split
+from capture2vr.edge.capture.photos import MAX_PHOTOS, evenly_spaced, pictures
 from capture2vr.edge.capture.picture import first_bytes
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films.film_scan import DEADLINE_S, SKIP, VideoScan, scan_video
-from capture2vr.edge.films.keyframes import key_frames
-from capture2vr.edge.films.video import VideoFrames, VideoPixels
+from capture2vr.edge.films.keyframes import key_frames, swept_share
+from capture2vr.edge.films.video import CACHED_PX, VideoFrames, VideoPixels
 from capture2vr.edge.films.video_streams import container_of
 from capture2vr.sentences.sentence import say
 
+_SPHERE_PX = 2560  # width of frames of all sides: 5 MB each in the cache, from which each of 8 views is cut
+_MOST_SWEPT = 0.25  # of the key frames that were taken while the picture moved fast; fewer are outvoted by the others
 _WALK = say("walk_around_thing_while_you")
 
 
@@ -36,9 +39,17 @@ def unused_warning(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def read(folder: Folder) -> Capture:
-    """Read the largest video of the folder. Raises what `read_film` raises."""
+    """Read the largest video of the folder. Raises what `read_film` raises.
+
+    The frames of a video of all sides are split into views, as panoramas are.
+    """
     name, *others = find_videos(folder)
     film = read_film(folder, name)
+    if film.all_sides:
+        whole = evenly_spaced(film.photos, MAX_PHOTOS // VIEWS)
+        views = by_direction([split(photo, ALL_SIDES, level=False) for photo in whole])
+        told = say("video_of_all_sides_split", name=name, count=len(whole), views=VIEWS)
+        film = replace(film, photos=tuple(views), warnings=(told, *film.warnings))
     beside = len(pictures(folder))
     few = (say("photos_beside_not_used_least", count=beside, name=name, least=MIN_PHOTOS),) if beside else ()
     return Capture("photos", "video", photos=film.photos, warnings=(*film.warnings, *unused_warning(others), *few))
@@ -46,11 +57,15 @@ def read(folder: Folder) -> Capture:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """Key frames of a video as photos, in their order, with their frame numbers in the video, and warnings."""
+    """Key frames of a video as photos, in their order, with their frame numbers in the video, and warnings.
+
+    all_sides: whether they are panoramas
+    """
 
     photos: tuple[Photo, ...]
     numbers: tuple[int, ...]
     warnings: tuple[str, ...]
+    all_sides: bool = False
 
 
 def read_film(folder: Folder, name: str) -> Film:
@@ -62,16 +77,24 @@ def read_film(folder: Folder, name: str) -> Film:
     path = folder.path(name)
     with translate_errors(name, "video"):
         scan = scan_video(path, name, folder.tick)
-        stamps = [frame.stamp for frame in key_frames(scan.frames)]
+        chosen = key_frames(scan.frames)
+    stamps = [frame.stamp for frame in chosen]
     if len(stamps) < MIN_PHOTOS:
         raise _too_few_frames(scan, name)
-    size, frames = scan.stream.size, VideoFrames(path, name, cached=stamps, skip=SKIP)
+    if scan.sphere == "other":
+        raise unreadable(name, say("video_of_all_sides_not_read"), say("export_video_as_equirectangular"))
+    all_sides, size = scan.sphere is not None, scan.stream.size
+    if all_sides and size[0] > _SPHERE_PX:
+        size = _SPHERE_PX, round(size[1] * _SPHERE_PX / size[0])
+    frames = VideoFrames(path, name, cached=stamps, skip=SKIP, cached_px=_SPHERE_PX if all_sides else CACHED_PX)
     camera = f"{name}, {size[0]} x {size[1]}"
     photos = tuple(
         Photo(_photo_name(name, scan.seconds(stamp)), size, camera, VideoPixels(frames, stamp, size), turns=scan.turns)
         for stamp in stamps
     )
-    return Film(photos, tuple(map(scan.index.stamps.index, stamps)), scan.faults(name))
+    swept = 0.0 if all_sides else swept_share(chosen)
+    bent = (say("video_swept", name=name, share=swept),) if swept > _MOST_SWEPT else ()
+    return Film(photos, tuple(map(scan.index.stamps.index, stamps)), (*scan.faults(name), *bent), all_sides)
 
 
 def _photo_name(name: str, seconds: float) -> str:

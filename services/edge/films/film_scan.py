@@ -14,7 +14,16 @@ import numpy as np
 from capture2vr.edge.arrays import Bytes, Tick, no_tick
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.films.keyframes import SCAN_LONGEST_PX, PathTracker, ScannedFrame, sharpness
-from capture2vr.edge.films.video_streams import FrameIndex, Skip, VideoStream, decode_packet, open_video, read_index
+from capture2vr.edge.films.video_streams import (
+    FrameIndex,
+    Skip,
+    Sphere,
+    VideoStream,
+    decode_packet,
+    open_video,
+    read_index,
+    sphere_of,
+)
 from capture2vr.sentences.sentence import say
 
 SKIP: Skip = "NONREF"  # non-reference frames: half of the frames of a phone's video; decoding takes half the time
@@ -33,6 +42,7 @@ class VideoScan:
     index     stamps of all frames
     frames    the scanned frames, in display order
     turns     as in `Photo`
+    sphere    how the frames show all sides; None where they are those of an ordinary lens
     end_s     time of the last frame that was decoded
     broken_s  time of the first damaged packet, or None
     late      whether the deadline ended the scan
@@ -42,6 +52,7 @@ class VideoScan:
     index: FrameIndex
     frames: list[ScannedFrame] = field(default_factory=list)
     turns: int = 0
+    sphere: Sphere | None = None
     end_s: float = 0.0
     broken_s: float | None = None
     late: bool = False
@@ -53,6 +64,7 @@ class VideoScan:
     def run(self, tick: Tick) -> None:
         """Decode the video once and measure sharpness and motion of frames sampled at equal steps."""
         tracker, due, every = PathTracker(), 0.0, max(_SAMPLE_S, self._length_s() / _MAX_SAMPLES)
+        last = -math.inf
         for frame in self._decoded_frames():
             at = self.seconds(frame.pts)
             self.end_s = max(self.end_s, at)
@@ -60,8 +72,9 @@ class VideoScan:
             if at >= due:
                 due = at + 0.99 * every  # stamps are rounded
                 luma = _luma(frame, self.stream.size)
-                self.turns = round(-frame.rotation / 90) % 4
-                self.frames.append(ScannedFrame(frame.pts, sharpness(luma), tracker.track(luma)))
+                self.turns, self.sphere = round(-frame.rotation / 90) % 4, sphere_of(frame)
+                path, last, seconds = tracker.track(luma), at, at - last
+                self.frames.append(ScannedFrame(frame.pts, sharpness(luma), path, tracker.step / max(seconds, 1e-3)))
 
     def _decoded_frames(self) -> Iterator[Any]:
         """Decode frames in display order until the deadline.

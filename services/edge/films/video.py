@@ -16,7 +16,7 @@ from capture2vr.edge.films.tone_map import is_hdr, srgb_of
 from capture2vr.edge.films.video_streams import FrameIndex, Skip, VideoStream, decode_packet, open_video, read_index
 from capture2vr.sentences.sentence import say
 
-_CACHED_PX = 1600  # longer side of the frames in the cache: more than alignment and stereo ever need
+CACHED_PX = 1600  # longer side of the frames in the cache: more than alignment and stereo ever need
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +56,21 @@ class VideoFrames:
     """Random access to the frames of a video, by their number in display order or by their stamp. Thread-safe.
 
     Access is cheapest in ascending order; going back, or far ahead, seeks to the codec's key frame before the frame.
-    `cached` are stamps of frames that will be read repeatedly: copies of at most _CACHED_PX pixels, 2 MB each, are
-    cached. `skip` as in `open_video`; use it only with stamps. Reading a frame that cannot be decoded raises
+    `cached` are stamps of frames that will be read repeatedly: copies of at most `cached_px` pixels, 2 MB each of
+    1600, are cached. `skip` as in `open_video`; use it only with stamps. Reading a frame that cannot be decoded raises
     IMAGE_UNREADABLE. Pixels are as stored, without the container's rotation: the intrinsics are the sensor's.
     """
 
-    def __init__(self, path: Path, file: str, *, cached: Collection[int] = (), skip: Skip = "DEFAULT") -> None:
-        self._path, self.file, self._skip = path, file, skip
+    def __init__(
+        self,
+        path: Path,
+        file: str,
+        *,
+        cached: Collection[int] = (),
+        skip: Skip = "DEFAULT",
+        cached_px: int = CACHED_PX,
+    ) -> None:
+        self._path, self.file, self._skip, self._cached_px = path, file, skip, cached_px
         self._lock = threading.Lock()
         self._cached_stamps, self._cache = frozenset(cached), dict[int, Any]()
         self._index: FrameIndex | None = None
@@ -142,17 +150,17 @@ class VideoFrames:
         for frame in self._frames:
             self._last = frame
             if frame.pts in self._cached_stamps and frame.pts not in self._cache:
-                self._cache[frame.pts] = _small(frame)
+                self._cache[frame.pts] = _small(frame, self._cached_px)
             if frame.pts >= stamp:
                 return frame if frame.pts == stamp else None
         self._last = None
         return None
 
 
-def _small(frame: Any) -> Any:
-    """Return a copy of a frame for the cache: at most _CACHED_PX along the longer side, 12 bits per pixel, 24 of a film
-    of high dynamic range."""
-    shrink = max(1.0, max(frame.width, frame.height) / _CACHED_PX)
+def _small(frame: Any, most: int) -> Any:
+    """Return a copy of a frame for the cache: at most `most` pixels along the longer side, 12 bits per pixel, 24 where
+    it is of high dynamic range."""
+    shrink = max(1.0, max(frame.width, frame.height) / most)
     width, height = (max(1, round(side / shrink)) for side in (frame.width, frame.height))
     form = "yuv420p10le" if is_hdr(frame) else "yuv420p"
     return frame.reformat(width, height, format=form, interpolation="AREA")

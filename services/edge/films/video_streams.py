@@ -22,6 +22,7 @@ MAX_PIXELS = 8192 * 4320  # of a frame: the largest that phones record; a decode
 MAX_FRAMES = 60_000  # of a video: half an hour at 30 frames per second; a walk around an object takes one minute
 _BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")  # types of the first box of ISO media and QuickTime
 _MATROSKA = b"\x1aE\xdf\xa3"
+_RECTILINEAR = 4  # of FFmpeg's AVSphericalProjection: the picture of an ordinary lens
 _SEND_AGAIN = say("copy_from_phone_again_export")
 
 
@@ -104,6 +105,22 @@ def decode_packet(packet: Any) -> list[Any] | None:
     except (av.FFmpegError, MemoryError):
         return None
     return None if packet.is_corrupt or any(frame.is_corrupt for frame in frames) else frames
+
+
+Sphere = Literal["equirectangular", "other"]
+"""How a frame shows all sides. other: as a cube, by a fisheye, of half of the sides, or twice, once for each eye."""
+
+
+def sphere_of(frame: Any) -> Sphere | None:
+    """Return how a frame shows all sides by the container's boxes `sv3d` and `st3d`, or Google's XML; None of others.
+
+    FFmpeg hands its structs `AVSphericalMapping` and `AVStereo3D` on with each frame: their first number is the kind.
+    """
+    kinds = {each.type.name: int.from_bytes(bytes(each)[:4], "little") for each in frame.side_data}
+    kind = kinds.get("SPHERICAL", _RECTILINEAR)
+    if kind == _RECTILINEAR:
+        return None
+    return "equirectangular" if kind == 0 and not kinds.get("STEREO3D") else "other"
 
 
 @dataclass(frozen=True, slots=True)

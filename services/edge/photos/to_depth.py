@@ -57,7 +57,10 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
     photos, refused = _screen_photos(masked, turntable, lambda part: tick(_MASKED + (_SCREENED - _MASKED) * part))
     if refused and len(photos) < MIN_PHOTOS:
         raise _too_few_photos(len(capture.photos), refused)
-    alignment = _align(photos, lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
+    try:
+        alignment = _align(photos, lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
+    except CaptureError as error:
+        raise _with_refused(error, len(capture.photos), refused) from error
     require_parallax(alignment)
     if alignment.contradicted:
         capture = replace(capture, metres_per_unit=1.0, scale_confidence="unknown", up=None)
@@ -143,6 +146,14 @@ def _too_few_photos(count: int, refused: Sequence[PhotoVerdict]) -> CaptureError
     first = refused[0]
     reason = say("photos_cannot_be_used", refused=len(refused), count=count, kinds=_count_kinds(refused))
     return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=first.name, hints=(first.advice,))
+
+
+def _with_refused(error: CaptureError, count: int, refused: Sequence[PhotoVerdict]) -> CaptureError:
+    """Return an error of the alignment, which knows only the photos that screening left, with why it left no more."""
+    if not refused:
+        return error
+    before = say("photos_left_out_before", left=len(refused), count=count, kinds=_count_kinds(refused))
+    return CaptureError(error.code, error.message, file=error.file, hints=(before, *error.hints))
 
 
 def _scale_to_arms_length(alignment: Alignment) -> Alignment:

@@ -68,6 +68,7 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
         warnings=capture.warnings + warnings,
         whole=capture.whole or _whole(capture.cloud),
         offset=capture.cloud.origin,
+        crs=capture.cloud.crs,
     )
 
 

@@ -67,14 +67,16 @@ def with_touching(xyz: Floats, label: Ints, chosen: Bools, link: float, height: 
 
 def _over_ground(label: Ints, height: Floats | None, near: float) -> tuple[Bools, Bools]:
     """Masks (N,) of the points whose cluster floats over the ground, and of those whose cluster stands on it; what does
-    not rise from it is neither, and without heights (N,) nothing is."""
+    not rise from it is neither, nor are a few points in the air, and without heights (N,) nothing is."""
     if height is None:
         return np.zeros(len(label), bool), np.zeros(len(label), bool)
     order = np.lexsort((height, label))
     size = np.bincount(label)
     first = np.cumsum(size) - size
     lowest, highest = (height[order][first + (size * (part / 100)).astype(np.int64)] for part in (_LOWEST, _HIGHEST))
-    return (lowest > near)[label], ((lowest <= near) & (highest > 2 * near))[label]
+    rises = highest > 2 * near
+    floats = rises & (lowest > near) & (size >= LEAST_POINTS)
+    return floats[label], (rises & (lowest <= near))[label]
 
 
 def _choose(xyz: Floats, label: Ints, middle: Floats) -> Bools:

@@ -19,6 +19,7 @@ from capture2vr.edge.capture.nouns import (
     ScaleConfidence,
     UpSource,
 )
+from capture2vr.edge.models.nouns import UsedModel
 from capture2vr.order.edits import NO_EDITS, Edits
 
 
@@ -92,7 +93,9 @@ class Points:
     drawn_in: posed frames of the pictures that the recipe's lassos are in, until it is applied;
     inferred (N,): mask of the points that nobody measured: they close what photos gave no depth of; None without any;
     closed: whether the object has no true openings, as far as photos and inferred points tell;
-    offset (3,): what was subtracted from the coordinates of a survey's file, which are large; None for others.
+    offset (3,): what was subtracted from the coordinates of a survey's file, which are large; None for others;
+    crs: coordinate reference system of that file, of xyz + offset, as in `Cloud`;
+    models: learned models that had a part in it.
     """
 
     xyz: Floats
@@ -116,6 +119,8 @@ class Points:
     inferred: Bools | None = None
     closed: bool = False
     offset: Floats | None = None
+    crs: str = ""
+    models: tuple[UsedModel, ...] = ()
 
     def __len__(self) -> int:
         return len(self.xyz)

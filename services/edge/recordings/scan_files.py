@@ -17,12 +17,14 @@ from capture2vr.edge.capture.files import Folder, translate_errors
 from capture2vr.edge.capture.nouns import Capture, Cloud, CloudParts
 from capture2vr.edge.clouds.cloud import SNIFF_BYTES, format_by_head, read_cloud
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.recordings.ksplat import read_ksplat
 from capture2vr.edge.recordings.ptx import is_ptx, read_ptx
 from capture2vr.edge.recordings.splat_files import SPZ_MAGIC, is_packed_ply, read_packed_ply, read_splat, read_spz
 from capture2vr.process.archives import ArchiveError
 from capture2vr.process.gunzip import gunzip, gunzip_head, is_gzip, plain_name
 
 _READERS: dict[str, Callable[[Folder, str], Capture]] = {
+    "ksplat": lambda folder, name: read_ksplat(folder.path(name), name),
     "splat": lambda folder, name: read_splat(folder.path(name), name),
     "spz": lambda folder, name: read_spz(folder.path(name), name),
     "packed splats": lambda folder, name: read_packed_ply(folder.path(name), name),
@@ -46,7 +48,9 @@ def file_format(folder: Folder, name: str) -> str | None:
     kind = format_by_head(head, size, name)
     if kind == "ply" and is_packed_ply(head):
         return "packed splats"
-    return "splat" if kind is None and head and name.lower().endswith(".splat") else kind
+    if kind is None and head and name.lower().endswith((".splat", ".ksplat")):
+        return name.lower().rpartition(".")[2]
+    return kind
 
 
 def read_file(folder: Folder, name: str, kind: str) -> Capture:

@@ -20,7 +20,8 @@ from capture2vr.edge.splats.surface_splats import Splats
 
 _MAGIC, _VERSION, _DEGREE, _FLAGS = 0x5053474E, 3, 0, 0
 _POSITION_BITS, _MOST_FRACTION_BITS = 23, 20  # without the sign; 2^-20 m is a thousandth of a millimetre
-COLOUR_GAIN = 0.15 / 0.28209479177387814  # of a colour less one half; the divisor is the harmonic of degree 0
+HARMONIC = 0.28209479177387814  # of degree 0
+COLOUR_GAIN = 0.15 / HARMONIC  # of a colour less one half
 _HEADER, _HEADER_BYTES = "<IIIBBBB", 16
 _COMPONENT_BITS = 9  # of a quaternion's component, without the sign
 _LEVEL = 6  # of gzip

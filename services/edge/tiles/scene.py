@@ -62,9 +62,10 @@ _TILES_SHARE = 0.9  # of the time of all levels, for that of the tiles
 class TiledScene:
     """A scene's tiles and their ancestors, on disk.
 
-    root   the coarsest one, with all others below; files: the contents by their names in the bundle
-    mesh   the coarsest one's mesh, asset frame
-    grid   of the cells; points: of all tiles, before they are thinned
+    root      the coarsest one, with all others below; files: the contents by their names in the bundle
+    mesh      the coarsest one's mesh, asset frame
+    grid      of the cells; points: of all tiles, before they are thinned
+    to_earth  (4,4) from the asset frame to geocentric coordinates (ECEF) in metres; None: the place is unknown
     """
 
     root: TilesetNode
@@ -75,6 +76,7 @@ class TiledScene:
     tiles: int
     triangles: int
     levels: int
+    to_earth: Floats | None = None
 
     @property
     def manifest(self) -> dict[str, str | int]:
@@ -84,7 +86,7 @@ class TiledScene:
     @property
     def document(self) -> bytes:
         """The tileset.json."""
-        return tileset_json(self.root)
+        return tileset_json(self.root, self.to_earth)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,10 @@ import pytest
 from PIL import Image
 
 from capture2vr.edge.capture.nouns import Capture
-from capture2vr.edge.capture.units import project_degrees
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.order.questions import flags_of, questions_of
-from capture2vr.order.reading import METRES, FileReading
+from capture2vr.order.reading import METRES, FileReading, UnitName
 from capture2vr.sentences.sentence import Sentence
 
 BALL = np.random.default_rng(0).normal(size=(600, 3))
@@ -102,12 +101,41 @@ def test_latitude_may_come_first(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(coordinates(capture), axis=0), np.ptp(30 * BALL, axis=0), atol=0.05)
 
 
-def test_degrees_around_the_earth_have_its_lengths() -> None:
-    """A degree of latitude is 110.57 km at the equator and 111.69 at the poles; one of longitude 55.80 at 60° N."""
-    for latitude, along, across in ((0.0, 110_574, 111_320), (60.0, 111_412, 55_800), (89.9, 111_694, 195)):
-        here = [7.0, latitude, 0]
-        metres = project_degrees(np.array([here, here, here, [8, latitude + 1, 5]]))
-        np.testing.assert_allclose(metres[3], [across, along, 5], rtol=2e-3)
+@pytest.mark.parametrize(
+    ("names", "metres", "columns"),
+    [
+        ("lon,lat,height", 1, ""),
+        ("Longitude [deg],Latitude [deg],Alt [ft]", 0.3048, ""),
+        ("longitude_deg,latitude_deg,height_m", 1, ""),
+        ("# lng,lat,z", 1, ""),
+        ("lon,lat,height", 1, "x=1,y=2,z=3"),
+    ],
+)
+@pytest.mark.parametrize("unit", ["", "deg"])
+def test_columns_named_longitude_and_latitude_are_projected(
+    names: str, metres: float, columns: str, unit: UnitName, tmp_path: Path
+) -> None:
+    """Also of a wide survey, whose numbers alone do not look like degrees."""
+    truth = 3000 * BALL
+    path = tmp_path / "scan.csv"
+    np.savetxt(path, in_degrees(truth) / (1, 1, metres), fmt="%.9f", delimiter=",", header=names, comments="")
+    capture = read_capture(path, reading=FileReading(columns, unit))
+    assert (capture.metres_per_unit, capture.scale_confidence) == (1, "metric")
+    read = coordinates(capture)
+    np.testing.assert_allclose(read - read.mean(axis=0), truth - truth.mean(axis=0), atol=10)
+    assert capture.cloud is not None
+    assert capture.cloud.crs.startswith("PROJCS")
+    assert ("degrees_were_projected" in codes(capture)) == (unit == "")
+    assert questions_of(capture.warnings) == []
+
+
+def test_columns_beside_longitude_and_latitude_that_are_told_are_no_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "scan.csv"
+    rows = np.c_[in_degrees(BALL)[:, :2], BALL]
+    np.savetxt(path, rows, fmt="%.6f", delimiter=",", header="lat,lon,u,v,h [ft]", comments="")
+    capture = read_capture(path, reading=FileReading("x=3,y=4,z=5"))
+    assert capture.scale_confidence == "unknown"
+    np.testing.assert_allclose(coordinates(capture), BALL, atol=1e-5)
 
 
 def test_columns_that_are_told_are_read(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from capture2vr.edge.arrays import Floats, no_tick
 from capture2vr.edge.capture.nouns import Capture, Cloud
-from capture2vr.edge.clouds.cloud_parts import read_some
+from capture2vr.edge.clouds.cloud_parts import projected, projected_parts, read_some
 from capture2vr.edge.clouds.raw_parts import RawPart, RawParts
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.read_capture import read_capture
@@ -107,11 +107,19 @@ def test_all_scans_of_a_large_e57_are_read_in_parts(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("small_is_large")
-def test_degrees_of_a_large_file_are_refused_by_name(tmp_path: Path) -> None:
-    """Its parts are read again and again, each without knowing where the middle of all is."""
-    np.save(tmp_path / "scan.npy", np.random.default_rng(0).uniform(47, 48, (COUNT, 3)))
-    with pytest.raises(CaptureError, match="more points than degrees are projected of"):
-        read_capture(tmp_path / "scan.npy", reading=FileReading(unit="deg"))
+def test_all_parts_of_degrees_lie_on_one_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("capture2vr.edge.clouds.tables.PART", 10_000)
+    metres = square(COUNT)
+    metres[::1_000] = 0  # what a scanner writes where nothing came back
+    seen = metres.any(axis=1)
+    degrees = np.where(seen[:, None], metres / (76_055.9, 111_174.2, 1) + (8, 47, 400), 0)
+    np.save(tmp_path / "scan.npy", degrees)
+    capture = read_capture(tmp_path / "scan.npy", reading=FileReading(unit="deg"))
+    assert capture.cloud is not None
+    assert 'PARAMETER["central_meridian",8.0' in capture.cloud.crs
+    np.testing.assert_array_equal(np.asarray(capture.up), [0, 0, 1])
+    whole, truth = everything(capture).xyz, metres[seen]
+    np.testing.assert_allclose(whole - whole[0], truth - truth[0], atol=2e-3)
 
 
 @pytest.mark.usefixtures("small_is_large")
@@ -199,3 +207,22 @@ def test_a_part_that_cannot_be_decoded_names_the_file() -> None:
 
     with pytest.raises(CaptureError, match=r"scan.las: is not a readable point cloud \(the chunk is damaged\)"):
         read_some(RawParts(200, read), "scan.las", no_tick)
+
+
+def test_a_part_in_degrees_that_cannot_be_decoded_names_the_file() -> None:
+    def broken() -> Iterator[RawPart]:
+        raise ValueError("no")
+        yield raw(square(2))
+
+    with pytest.raises(CaptureError) as caught:
+        projected_parts(RawParts(10, broken), "scan.ply")
+    assert (caught.value.code, caught.value.file) == ("CAPTURE_UNREADABLE", "scan.ply")
+
+
+def test_degrees_that_were_moved_are_projected_where_they_were() -> None:
+    """As a place that is far off moves a whole file near the origin."""
+    degrees = np.array([[8.0, 47, 400], [8.00001, 47.00001, 401]])
+    origin = np.array([0.0, 40, -2e6])
+    found = projected(Cloud(degrees - origin, origin=origin))
+    assert found.origin is None
+    np.testing.assert_allclose(found.xyz, projected(Cloud(degrees)).xyz, atol=1e-6)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import struct
 import subprocess
 import sys
 import tempfile
 import time
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,8 +20,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from capture2vr.edge.capture.files import open_folder
+from capture2vr.edge.clouds.meshes import read_mesh
 from capture2vr.edge.clouds.pcd import lzf_decompress
-from capture2vr.edge.clouds.sample_surface import SAMPLES
+from capture2vr.edge.clouds.sample_surface import SAMPLES, SampledSurface
 from capture2vr.edge.clouds.tables import MAX_PARTED_POINTS
 from capture2vr.edge.errors import Cancelled, CaptureError
 from capture2vr.edge.export.obj import to_obj_zip
@@ -39,6 +43,13 @@ UPWARD = np.tile([[0.0, 0.0, 1.0]], (len(XYZ), 1))
 def rows(*columns: np.ndarray, separator: str = " ", head: str = "") -> bytes:
     table = np.hstack(columns).tolist()
     return (head + "\n".join(separator.join(f"{value:.9g}" for value in row) for row in table) + "\n").encode()
+
+
+def stl_or_off(kind: str, data: bytes) -> SampledSurface:
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / f"a.{kind}").write_bytes(data)
+        (surface,) = read_mesh(open_folder(Path(folder)), f"a.{kind}", kind).surfaces
+    return surface
 
 
 CLOUDS: dict[str, tuple[str, Callable[[], bytes]]] = {
@@ -265,11 +276,87 @@ def test_a_mesh_is_sampled_evenly_on_its_surface(kind: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("spelt", [str.lower, str.upper, str.title])
-def test_an_stl_of_text_may_be_spelt_in_any_case(spelt: Callable[[str], str], tmp_path: Path) -> None:
-    text = str(captures.hemisphere().export(file_type="stl_ascii"))
-    (tmp_path / "upload.bin").write_text(spelt(text))
+@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("name", ["", "vertex 1 2 3", "facet normal", "endsolid"])
+def test_an_stl_of_text_may_be_spelt_in_any_way(spelt: Callable[[str], str], ends: str, name: str) -> None:
+    """And its solids, of which it may have several, may be called anything."""
+    text = "".join(
+        f"solid {name}\nfacet normal 0 0 1\n outer loop\n  vertex {at} 0 0\n\tvertex 1e0 {at}  2.5\n"
+        f"  vertex 0 1 -1.5E+1\n endloop\nendfacet\nendsolid {name}\n"
+        for at in (1, 3)
+    )
+    found = stl_or_off("stl", spelt(text).replace("\n", ends).encode())
+    expected = [[(at, 0, 0), (1, at, 2.5), (0, 1, -15)] for at in (1, 3)]
+    np.testing.assert_array_equal(found.vertices[found.faces], expected)
+
+
+@pytest.mark.parametrize("head", [b"solid", b"solid facet normal", b"made by hand", b""])
+@pytest.mark.parametrize("tail", [0, 2, 37])
+def test_a_binary_stl_is_one_whatever_its_head_says(head: bytes, tail: int, tmp_path: Path) -> None:
+    facets = np.asarray(captures.hemisphere().triangles, "<f4")
+    records = b"".join(bytes(12) + facet.tobytes() + b"\0\0" for facet in facets)
+    (tmp_path / "a.stl").write_bytes(head.ljust(80) + struct.pack("<I", len(facets)) + records + b" " * tail)
     capture = read_capture(tmp_path)
     assert (capture.format, capture.cloud is not None) == ("stl", True)
+
+
+OFFS = {
+    "counts below": "OFF\n{counts}\n{rows}",
+    "counts beside": "OFF {counts}\n{rows}",
+    "remarks": "OFF # a mesh\n\n# of\n{counts} # and edges\n{rows}",
+}
+
+
+@pytest.mark.parametrize("way", OFFS)
+@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+@pytest.mark.parametrize("colours", ["none", "faces", "fractions", "vertices"])
+def test_polygons_of_an_off_are_cut_as_they_lie(way: str, ends: str, colours: str) -> None:
+    """An L, whose notch is no part of it, and a triangle beside it."""
+    tints = ["10 20 30 255", "40 50 60 255"]
+    corners = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (5, 0), (6, 0), (5, 1)]
+    behind = {"faces": tints, "fractions": ["0.5 0.25 1.0", "0.1 0.2 0.3"]}.get(colours, ["", ""])
+    rows = [f"{x} {y} 0.5 {tints[x >= 5] if colours == 'vertices' else ''}" for x, y in corners]
+    rows += [f"6 0 1 2 3 4 5 {behind[0]}", f"3 6 7 8 {behind[1]}"]
+    text = OFFS[way].format(counts="9 2 0", rows="\n".join(rows)) + "\n"
+    found = stl_or_off("off", ("C" * (colours == "vertices") + text).replace("\n", ends).encode())
+    triangles = found.vertices[found.faces]
+    areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])[:, 2] / 2
+    assert areas.min() >= 0
+    assert areas.sum() == pytest.approx(3.5)
+    middles = triangles.mean(axis=1)
+    assert not ((middles[:, 0] > 1) & (middles[:, 1] > 1)).any()
+    assert (found.colour_at is None) == (colours == "none")
+    if found.colour_at is not None:
+        shown = found.colour_at(np.arange(len(triangles)), np.full((len(triangles), 3), 1 / 3))
+        first, second = ((128, 64, 255), (26, 51, 76)) if colours == "fractions" else ((10, 20, 30), (40, 50, 60))
+        np.testing.assert_allclose(shown, np.where(middles[:, :1] < 3, first, second), atol=1)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n", "cut off"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "vertices that do not exist"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n", "vertices that do not exist"),
+        ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "not a readable OFF"),
+        ("OFF\n3 1 0\n0.0000 0.0000 0.000000000\n", "3 'OFF' lines, but only 1"),
+        ("OFF\n-3 9 0\n" + 30 * "0 0 0\n", "not a readable OFF"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 " + 2**19 * "0 ", "has a line of"),
+        ("OFF BINARY\n3 1 0\n0 0 0\n", "not a readable OFF"),
+    ],
+)
+def test_a_damaged_off_is_named(text: str, says: str) -> None:
+    with pytest.raises(CaptureError, match=says):
+        stl_or_off("off", text.encode())
+
+
+def test_lines_behind_those_of_an_off_take_no_memory() -> None:
+    data = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n" + 1_000_000 * b"7 7\n"
+    tracemalloc.start()
+    assert len(stl_or_off("off", data).faces) == 1
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 3 * len(data)
 
 
 def test_sampling_is_repeatable(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from capture2vr.edge.clouds.colours import read_colours, rgb8
 from capture2vr.edge.read_capture import read_capture
 from tests.edge.clouds.test_tables import RGB, XYZ
 from tests.support import captures
-from tests.support.odd_tables import OddTable
+from tests.support.odd.tables import OddTable
 
 
 @pytest.mark.parametrize(("factor", "kind"), [(1 / 255, float), (1, np.float32), (257, np.uint16), (1, np.uint16)])

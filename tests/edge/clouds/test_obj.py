@@ -16,6 +16,8 @@ from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.clouds.obj import ObjFile, read_obj
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.srgb import to_linear
+from tests.support.photos.exr_files import exr
 
 HEAD = "mtllib a.mtl\nusemtl paint\n"
 CORNERS = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -38,6 +40,7 @@ SQUARES = {
     .replace("\nv", "\n  v"),
     "a line that goes on": HEAD + CORNERS + TEXELS + "f 1/1 2/2 \\\n3/3 4/4\n",
     "lines of Windows": (HEAD + CORNERS + TEXELS + "f 1/1 2/2 \\\n3/3 4/4\n").replace("\n", "\r\n"),
+    "lines of an old Mac": (HEAD + CORNERS + TEXELS + "f 1/1 2/2 \\\n3/3 4/4\n").replace("\n", "\r"),
     "lines and points beside it": HEAD + CORNERS + TEXELS + "p 1\nl 1 2\nf 1/1 2/2 3/3 4/4\n",
     "homogeneous coordinates": HEAD
     + CORNERS.replace(" 0\n", " 0 1.0\n")
@@ -125,6 +128,22 @@ def test_a_texture_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert (points(capture)[1] == (0, 255, 0)).all(), "the material's colour"
     (warning,) = capture.warnings
     assert warning.startswith("a.obj: its textures are not in the capture, so their colours are missing (paint.png)")
+
+
+def test_a_texture_of_linear_light_is_read(tmp_path: Path) -> None:
+    light = np.zeros((8, 64), np.float32)
+    light[:, :32] = to_linear(np.uint8(180))
+    dark = 0 * light
+    (tmp_path / "paint.exr").write_bytes(exr({"R": light, "G": dark, "B": dark}))
+    capture = read(tmp_path, SQUARES["a quad"], "newmtl paint\nmap_Kd paint.exr\n")
+    assert {tuple(colour) for colour in points(capture)[1].tolist()} == {(180, 0, 0), (0, 0, 0)}
+    assert capture.warnings == ()
+
+
+def test_a_texture_of_a_kind_that_is_not_read_is_named(tmp_path: Path) -> None:
+    (tmp_path / "paint.exr").write_bytes(exr({"Y": np.ones((8, 8), np.float32)}, 4))
+    with pytest.raises(CaptureError, match=r"paint\.exr: is an OpenEXR picture of a kind that is not read \(PIZ\)"):
+        read(tmp_path, SQUARES["a quad"], "newmtl paint\nmap_Kd paint.exr\n")
 
 
 def test_a_picture_that_is_none_is_named(tmp_path: Path) -> None:
@@ -234,6 +253,13 @@ def test_what_cannot_be_is_named(
     with pytest.raises(CaptureError, match=reason) as caught:
         parse(tmp_path, text)
     assert caught.value.code == code
+
+
+@pytest.mark.parametrize("name", ["paint", "Material #25", "paint#2"])
+def test_a_remark_is_no_part_of_a_name(name: str, tmp_path: Path) -> None:
+    text = f"mtllib a.mtl # of it\n{CORNERS}usemtl {name} # all of it\nf 1 2 3 4\n"
+    _, rgb = points(read(tmp_path, text, f"newmtl {name} #\nKd 1 0 0 # red\n"))
+    assert (rgb == RED).all()
 
 
 def test_texture_coordinates_that_are_not_there_leave_the_face_white(tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,36 +11,12 @@ from hypothesis import strategies as st
 
 from capture2vr.edge.clouds.ply import PlyFile, read_ply
 from capture2vr.edge.errors import CaptureError
+from tests.support.odd.ply_bytes import ply
 
-CODES = {"uchar": "B", "short": "h", "int": "i", "uint": "I", "float": "f", "double": "d"}
 VERTICES = [(0.0, 0.0, 0.5), (2.0, 0.25, 0.5), (2.0, 1.5, 0.5), (0.0, 1.0, 0.5), (0.5, -2.0, 0.5)]
 RGB = [(10, 20, 30), (40, 50, 60), (70, 80, 90), (100, 110, 120), (130, 140, 150)]
 POLYGONS = [(0, 1, 2, 3), (0, 4, 1), (1, 2, 3)]
 TRIANGLES = [(0, 1, 2), (0, 2, 3), (0, 4, 1), (1, 2, 3)]
-
-Value = float | Sequence[float]
-
-
-def ply(form: str, elements: Sequence[tuple[str, Sequence[tuple[str, str]], Sequence[Sequence[Value]]]]) -> bytes:
-    """A PLY of elements: name, properties (kind or "count kind", name), rows of numbers and lists."""
-    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
-    head, body = [f"ply\nformat {form} 1.0\n"], bytearray()
-    for name, properties, rows in elements:
-        head.append(f"element {name} {len(rows)}\n")
-        head += [f"property {'list ' if ' ' in kind else ''}{kind} {each}\n" for kind, each in properties]
-        for row in rows:
-            words: list[str] = []
-            for (kind, _), value in zip(properties, row, strict=True):
-                *count, item = kind.split()
-                values = list(value) if isinstance(value, Sequence) else [value]
-                words += [*([str(len(values))] if count else []), *(f"{each:.9g}" for each in values)]
-                if order:
-                    body += struct.pack(order + CODES[count[0]], len(values)) if count else b""
-                    cast = float if item in ("float", "double") else int
-                    body += struct.pack(f"{order}{len(values)}{CODES[item]}", *map(cast, values))
-            if not order:
-                body += " ".join(words).encode() + b"\n"
-    return "".join([*head, "end_header\n"]).encode() + bytes(body)
 
 
 def read(data: bytes, folder: Path) -> PlyFile:
@@ -107,6 +81,16 @@ def test_what_stands_for_no_number_is_one_that_is_not_finite(tmp_path: Path) -> 
     found = read(data.replace(b"0 1 0.5", b"nan -1.#IND 1.#QNAN"), tmp_path).cloud.xyz
     np.testing.assert_array_equal(found[3], np.full(3, np.nan))
     np.testing.assert_array_equal(found[[0, 1, 2, 4]], np.array(VERTICES)[[0, 1, 2, 4]])
+
+
+@pytest.mark.parametrize("remark", [b"the end_header is below", b"\xc3\x85 element face 9", b"element vertex 7"])
+@pytest.mark.parametrize("ends", [b"\n", b"\r\n"])
+def test_a_remark_is_no_header(remark: bytes, ends: bytes, tmp_path: Path) -> None:
+    """Whatever its words are, and its bytes: in Latin-1 the second of an "\xc5" in UTF-8 ends a line."""
+    data = ply("binary_little_endian", [("vertex", [("float", each) for each in "xyz"], VERTICES)])
+    head, _, body = data.partition(b"end_header\n")
+    head = head.replace(b" 1.0\n", b" 1.0\ncomment " + remark + b"\n") + b"end_header\n"
+    np.testing.assert_allclose(read(head.replace(b"\n", ends) + body, tmp_path).cloud.xyz, VERTICES)
 
 
 @pytest.mark.parametrize("cut", [1, 9, 30])

@@ -177,11 +177,12 @@ def test_the_full_mesh_of_a_survey_comes_back_from_where_its_file_has_it(tmp_pat
 @pytest.mark.parametrize("name", ["glb", "glb-meshopt"])
 def test_a_glb_of_a_survey_says_where_it_stands(name: str, tmp_path: Path) -> None:
     near, offset = downloadable(), [345_678.25, 5_432_100.5, 321.0]
-    moved = replace(near, manifest={**near.manifest, "capture_offset": offset})
+    placed = {"capture_offset": offset, "capture_crs": "EPSG:25832"}
+    moved = replace(near, manifest={**near.manifest, **placed})
     data = convert(written(moved, tmp_path / "far"), name, "sheet")
     (length,) = struct.unpack_from("<I", data, 12)
     extras = json.loads(data[20 : 20 + length])["asset"]["extras"]
-    assert extras == {"capture_offset": offset, "capture_to_asset": near.manifest["capture_to_asset"]}
+    assert extras == {**placed, "capture_to_asset": near.manifest["capture_to_asset"]}
     plain, found = read_glb(convert(written(near, tmp_path / "near"), name, "sheet")).mesh, read_glb(data).mesh
     assert isinstance(plain, TexturedMesh)
     assert isinstance(found, TexturedMesh)

@@ -78,6 +78,19 @@ def test_a_node_without_content_names_none() -> None:
     assert document["root"]["children"][0]["content"] == {"uri": f"tile.{'a' * 64}.glb"}
 
 
+def test_a_place_on_earth_is_the_roots_transform() -> None:
+    """Column by column; as a viewer does it, a content is turned so that Z is up, and then placed."""
+    tile = TilesetNode("tile.glb", "a" * 64, np.zeros(3), np.ones(3), 0.0)
+    assert "transform" not in json.loads(tileset_json(tile))["root"]
+    to_earth = np.random.default_rng(0).normal(0, 1e6, (4, 4))
+    to_earth[3] = 0, 0, 0, 1
+
+    root = json.loads(tileset_json(tile, to_earth))["root"]
+
+    placed = np.array(root["transform"]).reshape(4, 4).T
+    np.testing.assert_allclose(placed @ [0.1, -0.3, 0.2, 1], to_earth @ [0.1, 0.2, 0.3, 1], rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

@@ -29,6 +29,7 @@ from capture2vr.edge.films.keyframes import MAX_KEY_FRAMES, MIN_PATH, PathTracke
 from capture2vr.edge.films.video import VideoFrames
 from capture2vr.edge.read_capture import read_capture
 from tests.support.captures import turn_film
+from tests.support.photos.spherical_films import spherical
 from tests.support.photos.walkaround import render_walkaround
 
 WIDTH, HEIGHT, RATE = 320, 240, 30
@@ -89,6 +90,15 @@ def encode(
     return path
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.integers(1, 24))
+def test_the_speed_of_the_picture_is_how_far_it_moves(pixels: int) -> None:
+    tracker = PathTracker()
+    for number in range(2):
+        tracker.track(cv2.cvtColor(np.ascontiguousarray(WALL[:, pixels * number :][:, :WIDTH]), cv2.COLOR_RGB2GRAY))
+    assert tracker.step == pytest.approx(pixels / WIDTH, rel=0.05)
+
+
 def second(photo: Photo) -> float:
     return float(photo.name.rsplit(" at ", 1)[1].removesuffix(" s"))
 
@@ -113,6 +123,44 @@ FILMS: dict[str, tuple[str, Callable[[Path, Sequence[np.ndarray]], Path]]] = {
     "VP9": ("a.webm", partial(encode, codec="libvpx-vp9")),
     "Matroska": ("a.mkv", encode),
 }
+
+
+@pytest.fixture(scope="module")
+def flat_film(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A video of 2:1."""
+    return encode(tmp_path_factory.mktemp("flat") / "a.mp4", [each[:160] for each in VIEWS]).read_bytes()
+
+
+@pytest.mark.parametrize(("step", "swept"), [(4, False), (16, True)])
+def test_a_fast_pan_is_named(step: int, swept: bool, tmp_path: Path) -> None:
+    """Of 30 pictures a second, 320 wide: 0.4 and 1.5 of the width in a second."""
+    shown = wide(WIDTH + 40 * step)
+    encode(tmp_path / "a.mp4", [shown[:, step * number :][:, :WIDTH] for number in range(40)])
+    told = " ".join(read_capture(tmp_path).warnings)
+    assert ("rolling shutter" in told) == swept
+
+
+def test_frames_of_all_sides_are_split_as_panoramas_are(flat_film: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(flat_film)
+    plain = read_capture(tmp_path).photos
+    spherical(tmp_path / "a.mp4")
+    capture = read_capture(tmp_path)
+    assert {photo.name.split("@")[0] for photo in capture.photos} == {photo.name for photo in plain}
+    assert len(capture.photos) == 8 * len(plain)
+    assert "all 360 degrees" in capture.warnings[0]
+    ahead = next(photo for photo in capture.photos if photo.name == f"{plain[3].name}@000")
+    assert (ahead.size, ahead.focal_px) == ((80, 80), 40)
+    assert np.abs(ahead.load()[40, 40].astype(int) - plain[3].load()[80, 160]).max() < 12
+
+
+@pytest.mark.parametrize("stereo", ["top-bottom", "left-right"])
+def test_a_video_of_all_sides_for_each_eye_is_refused_by_its_name(
+    stereo: str, flat_film: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "a.mp4").write_bytes(flat_film)
+    spherical(tmp_path / "a.mp4", stereo)
+    with pytest.raises(CaptureError, match="360° video of a kind that is not read"):
+        read_capture(tmp_path)
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.cameras import placement_attempts, sfm_child, sfm_process
@@ -138,6 +139,20 @@ def test_photos_from_one_spot_show_no_depth(tmp_path: Path) -> None:
         points_of(read_capture(bad_photos.write_from_one_spot(tmp_path)))
     assert caught.value.code == "CAPTURE_DEGENERATE"
     assert "IMG_00.jpg to IMG_09.jpg the camera turned, but it did not move" in caught.value.message
+
+
+@pytest.mark.slow
+def test_photos_that_were_left_out_before_none_could_be_placed_are_counted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for number in range(8):
+        Image.fromarray(rng.integers(0, 255, (120, 160, 3), np.uint8)).save(tmp_path / f"IMG_{number}.png")
+    for number in (2, 5):
+        shutil.copy(tmp_path / f"IMG_{number}.png", tmp_path / f"IMG_{number} (1).png")
+    with pytest.raises(CaptureError, match="of 8 photos overlap") as caught:
+        to_depth(read_capture(tmp_path))
+    assert caught.value.hints[0] == "2 of the 10 photos were left out before: 2 duplicate"
+    assert any(each.startswith("not placed: IMG_0.png") for each in caught.value.hints)
+    assert not any("(1)" in each for each in caught.value.hints)
 
 
 @pytest.mark.slow

@@ -168,6 +168,17 @@ def test_of_forty_copies_one_is_kept(taken: tuple[Photo, ...]) -> None:
     assert list(found.values()).count("duplicate") == 39
 
 
+def test_of_the_same_picture_the_original_is_kept_although_its_copies_sort_first(taken: tuple[Photo, ...]) -> None:
+    names = ("far/a (1).jpg", "far/a (2).jpg", "far/a.jpg", "far/b - Copy.jpg", "far/b.jpg", "far/c.jpg")
+    given = [replace(taken[at], name=name) for at, name in zip((0, 0, 0, 3, 3, 3), names, strict=True)]
+    kept, verdicts = screen(given, tick=no_tick)
+    assert [photo.name for photo in kept] == ["far/a.jpg", "far/b.jpg"]
+    originals = {"far/a (1).jpg": "a.jpg", "far/a (2).jpg": "a.jpg", "far/b - Copy.jpg": "b.jpg", "far/c.jpg": "b.jpg"}
+    assert {each.name for each in verdicts} == set(originals)
+    assert all(each.verdict == "duplicate" for each in verdicts)
+    assert all(f"the same as far/{originals[each.name]};" in each.advice for each in verdicts)
+
+
 @pytest.mark.slow
 def test_a_messengers_copy_is_told_apart_from_a_step_aside(taken: tuple[Photo, ...]) -> None:
     copies = [spoiled(photo, packed, f"copy of {photo.name}") for photo in taken]

@@ -110,6 +110,19 @@ def test_what_stands_on_nothing_belongs_to_the_thing_and_what_stands_on_the_tabl
     assert np.abs(points.xyz[:, 0]).max() < 0.2
 
 
+def test_a_flake_of_the_table_that_lies_a_little_over_it_goes() -> None:
+    """It stands on nothing, as the head of a flower does, but rises no higher than noise."""
+    grain = np.random.default_rng(6).uniform([-0.02, -0.02, 0], [0.02, 0.02, 0.004], (120, 3))
+    points = isolate(np.concatenate([ball_on_table(), grain + np.array([0.2, 0, 0.035])]))
+    assert points.xyz[:, 0].max() < 0.16
+
+
+def test_a_few_points_in_the_air_above_it_go() -> None:
+    few = np.random.default_rng(7).uniform(-0.006, 0.006, (20, 3)) + np.array([0, 0, 0.37])
+    points = isolate(np.concatenate([ball_on_table(), few]))
+    assert points.xyz[:, 2].max() < 0.33
+
+
 def test_dust_is_a_named_error() -> None:
     grains = np.random.default_rng(0).uniform(-1, 1, (40, 3))
     dust = (grains[:, None] + 1e-3 * np.random.default_rng(1).normal(size=(40, 60, 3))).reshape(-1, 3)

@@ -4,65 +4,24 @@ from __future__ import annotations
 
 import json
 import struct
-import zlib
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from capture2vr.edge.capture.exr import decode_exr
+from capture2vr.edge.capture.exr import decode_exr, decode_exr_colours
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.srgb import to_linear
+from tests.support.photos.exr_files import exr
 
 W, H = 48, 37  # the last block of 16 lines is shorter
 DEPTH = (1.5 + 0.01 * np.arange(H)[:, None] + 0.003 * np.arange(W)).astype(np.float32)
-KINDS = {"<u4": 0, "<f2": 1, "<f4": 2}
 
 
-def exr(
-    channels: dict[str, np.ndarray], compression: int = 3, *, top: int = 0, turned: bool = False, version: int = 2
-) -> bytes:
-    """An OpenEXR picture in lines. compression: 0 none, 2 ZIPS, 3 ZIP; turned: the last block is written first"""
-    height, width = next(iter(channels.values())).shape
-    listed = b"".join(
-        name.encode() + b"\0" + struct.pack("<4i", KINDS[pixels.dtype.str], 0, 1, 1)
-        for name, pixels in sorted(channels.items())
-    )
-    window = struct.pack("<4i", 0, top, width - 1, top + height - 1)
-    head = b"v/1\x01" + struct.pack("<I", version)
-    for name, kind, value in (
-        ("channels", "chlist", listed + b"\0"),
-        ("compression", "compression", bytes([compression])),
-        ("dataWindow", "box2i", window),
-        ("lineOrder", "lineOrder", bytes([int(turned)])),
-    ):
-        head += name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
-    head += b"\0"
-    lines = 16 if compression == 3 else 1
-    blocks = []
-    for start in range(0, height, lines):
-        raw = b"".join(
-            pixels[row].tobytes()
-            for row in range(start, min(start + lines, height))
-            for _, pixels in sorted(channels.items())
-        )
-        packed = raw if compression == 0 else _zipped(raw)
-        blocks.append(struct.pack("<2i", top + start, len(packed)) + packed)
-    return head + bytes(8 * len(blocks)) + b"".join(reversed(blocks) if turned else blocks)
-
-
-def _zipped(raw: bytes) -> bytes:
-    """Bytes of even places, then of odd ones; of each its difference to the one before, and 128; then zlib."""
-    mixed = raw[0::2] + raw[1::2]
-    steps = bytes([mixed[0], *((b - a + 128) % 256 for a, b in pairwise(mixed))])
-    packed = zlib.compress(steps)
-    return packed if len(packed) < len(raw) else raw
-
-
-@pytest.mark.parametrize("compression", [0, 2, 3])
+@pytest.mark.parametrize("compression", [0, 1, 2, 3])
 @pytest.mark.parametrize("kind", ["<f4", "<f2"])
 @pytest.mark.parametrize("turned", [False, True])
 def test_lines_are_read(compression: int, kind: str, turned: bool) -> None:
@@ -81,11 +40,31 @@ def test_noise_is_stored_as_it_is() -> None:
     np.testing.assert_array_equal(decode_exr(exr({"Z": noise}), "a.exr").view(np.uint32), noise.view(np.uint32))
 
 
+CODES = np.arange(W * H * 3, dtype=np.uint8).reshape(H, W, 3)
+
+
+@pytest.mark.parametrize("compression", [0, 1, 2, 3])
+@pytest.mark.parametrize("kind", ["<f4", "<f2"])
+def test_colours_are_linear_light(compression: int, kind: str) -> None:
+    light = to_linear(CODES).astype(kind)
+    data = exr({"A": light[..., 0], **{name: light[..., at] for at, name in enumerate("RGB")}}, compression)
+    np.testing.assert_array_equal(decode_exr_colours(data, "a.exr"), CODES)
+
+
+def test_light_of_a_high_range_is_white_and_none_is_black() -> None:
+    light = np.full((2, 2), 0.5, np.float32)
+    light[0] = [7e4, np.inf]
+    light[1] = [-1, np.nan]
+    rgb = decode_exr_colours(exr({"Y": light}), "a.exr")
+    np.testing.assert_array_equal(rgb, np.repeat([[[255], [255]], [[0], [0]]], 3, axis=2))
+
+
 GOOD = exr({"R": DEPTH})
 BROKEN = {
     "cut off": (GOOD[:-20], "IMAGE_UNREADABLE"),
     "cut off in its header": (GOOD[:60], "IMAGE_UNREADABLE"),
     "a damaged block": (GOOD[:-40] + b"\xff" * 40, "IMAGE_UNREADABLE"),
+    "RLE that ends early": (exr({"R": 0 * DEPTH}, 1)[:-2] + b"\1\0", "IMAGE_UNREADABLE"),
     "PIZ": (exr({"R": DEPTH}, 4), "IMAGE_UNREADABLE"),
     "tiles": (exr({"R": DEPTH}, version=2 | 0x200), "IMAGE_UNREADABLE"),
     "no channel": (exr({"R": DEPTH}).replace(b"R\0\x02", b"\0\0\x02"), "IMAGE_UNREADABLE"),

@@ -22,12 +22,14 @@ from tests.edge.tiles.hall import hall
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 PRESET = load_preset("scene-tiles")
+ORIGIN = np.array([691_607.0, 5_334_760.0, 520.0])
 
 
 def capture() -> Capture:
     xyz = hall()
     rgb = np.clip(60 + xyz, 0, 255).astype(np.uint8)
-    return Capture("points", "las", Cloud(xyz, rgb), scale_confidence="metric", up=np.array([0.0, 1, 0]))
+    cloud = Cloud(xyz, rgb, origin=ORIGIN, crs="EPSG:25832")
+    return Capture("points", "las", cloud, scale_confidence="metric", up=np.array([0.0, 1, 0]))
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +82,17 @@ def test_tiles_and_levels_of_detail_are_in_one_frame(bundles: tuple[list[Bundle]
     low, high = np.array(refined.manifest["bounds_m"])
     assert np.array([x, y, -z]) == pytest.approx((low + high) / 2, abs=0.3)
     assert np.array([half[0], half[8], half[4]]) == pytest.approx((high - low) / 2, abs=0.3)
+
+
+@pytest.mark.slow
+def test_the_tiles_of_a_survey_stand_in_their_place_on_earth(bundles: tuple[list[Bundle], MemoryStore]) -> None:
+    manifest = bundles[0][1].manifest
+    assert (manifest["capture_crs"], manifest["capture_offset"]) == ("EPSG:25832", ORIGIN.tolist())
+    placed = np.array(json.loads(bundles[0][1].files["tileset.json"])["root"]["transform"]).reshape(4, 4).T
+    asset = np.array(manifest["capture_to_asset"]).reshape(4, 4) @ [0, 0, 0, 1]
+    # Where PROJ has the origin of UTM's zone 32 that the capture was moved by.
+    truth = [4177973.9438, 855756.6098, 4727459.3257]
+    np.testing.assert_allclose((placed @ [asset[0], -asset[2], asset[1], 1])[:3], truth, atol=0.01)
 
 
 @pytest.mark.slow
