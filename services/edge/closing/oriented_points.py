@@ -15,6 +15,9 @@ from capture2vr.edge.render.sample_image import pixels_at
 _NEIGHBOURS, _WIDE = 12, 32
 """Neighbours that a normal is estimated from, and among which a point is judged: they reach three spacings far."""
 _SAME = 0.02  # relative depth within which a point is the surface that a photo sees
+_EXACT = 0.004
+"""Relative difference from a photo's depth at which its word counts half: photos from beyond an outline see the same
+depth, roughly, at points of its other side. Of real fruit 3.3 % of the points had normals that point inwards before."""
 _GRAZING = 0.3  # cosine of the angle to a photo from which on its word counts fully: 73 degrees
 _SPARSE, _DENSE = 0.15, 0.5
 """Density of points, over the median, at which a point is none of a surface, and from which on it may be one: at a
@@ -51,22 +54,24 @@ def orient_points(xyz: Floats, tree: cKDTree, pictures: Sequence[PosedPicture]) 
     relative = near - near.mean(axis=1, keepdims=True)
     normal = np.linalg.eigh(np.matmul(relative.transpose(0, 2, 1), relative))[1][:, :, 0]
     cosine = np.abs(np.einsum("nkx,nx->nk", normal[around], normal))
-    side = _side(xyz, normal, pictures)
+    side = seen_sides(xyz, normal, pictures)
     density = _over_median(1 / np.maximum(np.square(away[:, -1]), 1e-300))
     certain: Floats = _over_median(cosine.mean(axis=1)) * ramp(density, _SPARSE, _DENSE)
     return OrientedPoints(xyz, normal * np.sign(side)[:, None], np.abs(side)), certain
 
 
-def _side(xyz: Floats, normal: Floats, pictures: Sequence[PosedPicture]) -> Floats:
-    """(N,) in [−1,1]: to which side of points (N,3) with normals (N,3) the cameras are that see them."""
+def seen_sides(xyz: Floats, normal: Floats, pictures: Sequence[PosedPicture]) -> Floats:
+    """Tell to which side (N,) in [−1,1] of points (N,3) with normals (N,3) the cameras are that see them; 0 if none."""
     towards, seen = np.zeros(len(xyz)), np.zeros(len(xyz))
     for picture in pictures:
         inside, at, z = picture.in_view(xyz)
         found = pixels_at(picture.depth(), at)
-        inside = inside[(found > 0) & (np.abs(found - z) < _SAME * z)]
+        off = np.abs(found - z) / z
+        known = (found > 0) & (off < _SAME)
+        inside, certain = inside[known], 1 / (1 + np.square(off[known] / _EXACT))
         ray = picture.eye - xyz[inside]
         cosine = np.einsum("nx,nx->n", ray, normal[inside]) / np.maximum(np.linalg.norm(ray, axis=1), 1e-30)
-        share = np.clip(cosine / _GRAZING, -1, 1)
+        share = certain * np.clip(cosine / _GRAZING, -1, 1)
         towards[inside] += share
         seen[inside] += np.abs(share)
     side: Floats = towards / np.maximum(seen, 1e-9)

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_erosion, binary_fill_holes, map_coordinates
+from scipy.ndimage import binary_erosion, binary_fill_holes, map_coordinates, uniform_filter
 from scipy.sparse import coo_array, csr_array, diags_array, vstack
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
@@ -48,6 +48,13 @@ _STEPS, _WORK = 60, 6_000_000
 """Least steps of conjugate gradients in a round, and steps times nodes that a small grid may take."""
 _ENOUGH = 3.0
 """Points in half a cell whose weight is not less than that of more."""
+_RISES, _ONE_SIDED = 0.2, 0.5
+"""Rise of φ along a point's normal, over half a cell to both sides, below which the normal is wrong; of a right one it
+is 1. Only where the mean normal around has at least this length: to both sides of a thin wall normals are opposite.
+The folds that wrong ones make of a smooth surface are pits."""
+_CREASE = 2.0
+"""Cells over the plane below which that is not asked: points of the ground, with normals that point up, tell there
+where the thing ends. Without them a boulder bulged onto its slab, and the statue's PSNR fell from 28.7 to 28.0 dB."""
 
 IsFree = Callable[[Floats], Bools]
 """Function from places (N,3) to a mask (N,) of those in free space."""
@@ -97,6 +104,20 @@ class _Solved:
         """Interpolate φ at places (N,3), in cells of this grid."""
         return np.asarray(map_coordinates(self.phi, self._index(places).T, order=1, mode="nearest"))
 
+    def contradicts(self, points: OrientedPoints, support: Plane | None) -> Bools:
+        """(N,) whether φ does not rise along a point's normal, where most normals around point the same way, and which
+        lies well over the plane that the thing stands on."""
+        half = 0.5 * self.grid.side * points.normal
+        rise = self.at(points.xyz + half) - self.at(points.xyz - half)
+        node = np.ravel_multi_index(tuple(np.rint(self._index(points.xyz)).astype(np.int64).T), self.grid.shape)
+        *normal, weight = (
+            uniform_filter(np.bincount(node, each, self.phi.size).reshape(self.grid.shape), 3).ravel()[node]
+            for each in (*(points.weight * column for column in points.normal.T), points.weight)
+        )
+        one_sided = np.linalg.norm(normal, axis=0) > _ONE_SIDED * weight
+        wrong: Bools = (rise < _RISES) & one_sided
+        return wrong if support is None else wrong & (support.height(points.xyz) > _CREASE * self.grid.side)
+
     def is_surely_free(self, places: Floats) -> Bools:
         """(N,) whether all nodes around places (N,3) are free."""
         low = np.clip(np.floor(self._index(places)).astype(np.int64), 0, np.array(self.grid.shape) - 2)
@@ -126,6 +147,8 @@ def fit_solid(
 
     solved: _Solved | None = None
     for number, count in enumerate(cells):
+        if solved is not None:
+            points = points.subset(~solved.contradicts(points, support))
         solved = _solve(points, is_free, support, SolidGrid.around(points.xyz, support, count), solved)
         tick((number + 1) / len(cells))
     if solved is None or solved.phi.min() >= 0:  # sheets, both sides of which are free

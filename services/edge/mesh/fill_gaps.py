@@ -24,6 +24,7 @@ from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of, nei
 from capture2vr.edge.mesh.holes import edges_between, triangulate_loop
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.sampling import area, sample
 from capture2vr.order.option_table import Fill
 
 MOST_CORNERS = 400
@@ -38,6 +39,8 @@ _SEE_PAST = 2
 """Views that see past a place, from which on it is free space: one may err."""
 _MOST_FREE = 0.15
 """Share of a patch in free space up to which it is filled: depth is wrong by a pixel at outlines."""
+_ASKED = 100
+"""Places of each patch that views are asked about: their share is known to within 4 %."""
 _LONGER = 1.5
 """Length of an edge over that of the border's edges, from which on it is split."""
 _ROUNDS = 8
@@ -162,17 +165,18 @@ def _unit_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 def _not_free(vertices: Floats, patches: list[Ints], ask: Ask) -> list[Ints]:
-    """Return the patches that views do not see through."""
-    if not patches:
-        return []
-    faces = np.concatenate(patches)
-    normals = face_normals(vertices, faces)
-    area = np.linalg.norm(normals, axis=1)
-    past = ask(vertices[faces].mean(axis=1), normals / np.maximum(area, 1e-300)[:, None])
-    owner = np.repeat(np.arange(len(patches)), [len(patch) for patch in patches])
-    total = np.maximum(np.bincount(owner, area, len(patches)), 1e-300)
-    free = np.bincount(owner, area * (past >= _SEE_PAST), len(patches)) / total
-    return [patch for patch, share in zip(patches, free, strict=True) if share <= _MOST_FREE]
+    """Return the patches that views do not see through; one without area hides nothing."""
+    areas = [area(Mesh(vertices, patch)) for patch in patches]
+    flat = [patch for patch, size in zip(patches, areas, strict=True) if not size > 0]
+    wide = [patch for patch, size in zip(patches, areas, strict=True) if size > 0]
+    if not wide:
+        return flat
+    rng = np.random.default_rng(0)
+    # Middles of the triangles would be few, long ones' anywhere: how a flat hole is triangulated is a matter of chance.
+    samples = [sample(Mesh(vertices, patch), _ASKED, rng) for patch in wide]
+    past = ask(np.concatenate([each.xyz for each in samples]), np.concatenate([each.normals for each in samples]))
+    free = (past >= _SEE_PAST).reshape(len(wide), _ASKED).mean(axis=1)
+    return flat + [patch for patch, share in zip(wide, free, strict=True) if share <= _MOST_FREE]
 
 
 def _refine(vertices: Floats, patch: Ints, chords: Ints) -> tuple[Floats, Ints]:

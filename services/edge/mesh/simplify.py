@@ -23,7 +23,7 @@ from capture2vr.edge.mesh.edges import border_edges
 from capture2vr.edge.mesh.manifold import crowded_edges, to_manifold, without_fins
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.spatial_order import by_place
-from capture2vr.edge.mesh.topology import compact, orient, reseamed, seam_length
+from capture2vr.edge.mesh.topology import compact, facing_as, orient, reseamed, seam_length
 from capture2vr.edge.srgb import to_linear, to_srgb
 
 BUDGETS = (100_000, 25_000, 5_000)  # triangles: what a standalone headset draws near, across a room, and far off
@@ -132,7 +132,7 @@ def by_meshoptimizer(mesh: Mesh, faces: int, hold: Hold | None = None, tick: Tic
         kept = _collapse(turned, int(_BEFORE * faces), _locked(mesh, hold))
         tick(0)
         turned = reseamed(to_manifold(compact(Mesh(mesh.vertices, kept, mesh.rgb))))
-    return orient(_held(turned, faces, hold, tick))
+    return facing_as(orient(_held(turned, faces, hold, tick)), mesh)
 
 
 def _locked(mesh: Mesh, hold: Hold | None) -> Bools:

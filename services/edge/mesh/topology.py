@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick
 from capture2vr.edge.mesh.edges import Edges, edges_of
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 
+_ASKED = 2_000  # faces of each piece that tell which way it faces
 _HOLLOW = 0.01
 """Least volume between a piece and its middle, of the root of its area cubed, for it to have an inside. A ball has .09,
 a tube three times as long as wide .05."""
@@ -57,6 +59,41 @@ def orient(mesh: Mesh, tick: Tick = no_tick) -> Mesh:
     """
     flip = _flips(mesh, tick)
     return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces), mesh.rgb)
+
+
+def turned(mesh: Mesh, piece: Ints, towards: Floats) -> Mesh:
+    """Turn over the pieces most of which face the wrong way.
+
+    piece    (F,) the number of each face's
+    towards  (F,) how much of each face is known to be the right way, below 0 where it is the wrong one
+    """
+    flip = (np.bincount(piece, towards) < 0)[piece]
+    return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces), mesh.rgb)
+
+
+def facing_as(mesh: Mesh, other: Mesh) -> Mesh:
+    """Turn the pieces of a mesh over that face another way than the surface of the other mesh that is nearest to them.
+
+    Simplified to other triangles, a surface keeps its front that way, whatever its volume says.
+    """
+    piece = pieces_of(mesh.faces)
+    asked = some_of_each(piece)
+    corners = mesh.faces[asked]
+    tree = cKDTree(other.vertices[other.faces].mean(axis=1), balanced_tree=False)
+    near = tree.query(mesh.vertices[corners].mean(axis=1), workers=-1)[1]
+    normals = face_normals(mesh.vertices, corners), face_normals(other.vertices, other.faces[near])
+    alike = np.zeros(len(piece))
+    alike[asked] = np.einsum("fx,fx->f", *normals)
+    return turned(mesh, piece, alike)
+
+
+def some_of_each(piece: Ints) -> Ints:
+    """Draw faces of each piece (F,) at random, all of a small one: a majority needs no more."""
+    drawn = np.random.default_rng(0).permutation(len(piece))
+    drawn = drawn[np.argsort(piece[drawn], kind="stable")]
+    start = np.searchsorted(piece[drawn], np.arange(piece.max(initial=-1) + 1))
+    some: Ints = drawn[np.arange(len(drawn)) - start[piece[drawn]] < _ASKED]
+    return some
 
 
 def reseamed(mesh: Mesh) -> Mesh:

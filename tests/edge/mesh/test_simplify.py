@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.mesh.edges import edges_of
 from capture2vr.edge.mesh.manifold import without_fins
+from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.sampling import area, sample
 from capture2vr.edge.mesh.simplify import Collapse, by_fast_simplification, by_meshoptimizer, lods, simplify
@@ -115,6 +116,15 @@ def test_windings_do_not_hold_a_surface_fast(name: str) -> None:
     assert len(coarse.faces) <= 600
     smooth = chamfer_l1(simplify(mesh, 600), mesh, 20_000)
     assert chamfer_l1(coarse, mesh, 20_000) < 1.3 * smooth
+
+
+def test_a_dome_that_was_seen_from_within_keeps_its_front_although_a_part_of_it_is_wound_wrong() -> None:
+    dome = orient(surfaces.hemisphere())
+    within = np.random.default_rng(0).random((len(dome.faces), 1)) < 0.8
+    coarse = simplify(Mesh(dome.vertices, np.where(within, dome.faces[:, ::-1], dome.faces)), 600)
+    outward = coarse.vertices[coarse.faces].mean(axis=1) - [0, 0, dome.vertices[:, 2].min()]
+    towards = np.einsum("fx,fx->f", face_normals(coarse.vertices, coarse.faces), outward)
+    assert towards.min() < towards.max() <= 1e-12
 
 
 @pytest.mark.parametrize(("name", "budget"), [("mobius", 600), ("two_sheets", 1500)])

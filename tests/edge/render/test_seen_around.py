@@ -9,7 +9,8 @@ import trimesh
 from capture2vr.edge.mesh.edges import border_edges
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.topology import compact
-from capture2vr.edge.render.seen_around import fringe, largest_hole
+from capture2vr.edge.render.seen_around import fringe, largest_hole, thinness
+from tests.support import surfaces
 
 
 def ball(cap_degrees: float) -> Mesh:
@@ -31,6 +32,15 @@ def test_a_cap_that_is_missing_shows_as_much_inside_as_it_covers(degrees: float)
     # From above the hole is a disc of radius sin(a) in one of radius 1; the 20 directions look 18 degrees beside it.
     most = np.sin(np.radians(degrees)) ** 2
     assert 0.7 * most < largest_hole(ball(degrees)) < 1.1 * most
+
+
+@pytest.mark.parametrize(
+    ("name", "thick"), [("disk", 0.0), ("smooth_sheet", 0.1), ("hemisphere", 0.5), ("cylinder", 1.0), ("sphere", 1.0)]
+)
+def test_thinness_is_that_of_the_shape_however_it_is_turned(name: str, thick: float) -> None:
+    mesh = getattr(surfaces, name)()
+    for turn in np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3, 3)))[0]:
+        assert thinness(Mesh(mesh.vertices @ turn.T, mesh.faces)) == pytest.approx(thick, abs=0.08)
 
 
 def test_a_sliver_that_smoothing_takes_away_has_an_end() -> None:
