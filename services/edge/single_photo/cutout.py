@@ -1,34 +1,39 @@
-"""Cut the thing out of a photo, and crop the square around it that the network sees. numpy and OpenCV.
+"""Cut the thing out of a photo. numpy and OpenCV.
 
-The photo's mask or alpha channel decides, where there is one. Otherwise a rectangle that a person drew does; without
-one, what stands out from a plain background; and where nothing does, the largest thing near the middle is proposed.
+The photo's mask or alpha channel decides, where there is one. Otherwise a rectangle that a person drew does, or a place
+that a person tapped on; without one, a learned model, where one is installed, else the best of several masks is
+proposed.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from capture2vr.edge.arrays import Bools, Bytes, Floats, no_tick
+from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, no_tick
 from capture2vr.edge.capture.masks import OPAQUE, with_masks
 from capture2vr.edge.capture.nouns import Photo
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.models.folder import ModelFolder
+from capture2vr.edge.models.nouns import UsedModel
 from capture2vr.edge.single_photo.boxed import segment_in_box
-from capture2vr.edge.single_photo.plain_background import segment_by_colour
-from capture2vr.edge.single_photo.proposal import propose
+from capture2vr.edge.single_photo.learned_cut import learned_cut
+from capture2vr.edge.single_photo.proposal import propose, segment_at_tap
 from capture2vr.edge.single_photo.segmentation import no_object
 from capture2vr.order.photo_box import WHOLE, PhotoBox
 from capture2vr.sentences.sentence import say
 
 LONGEST = 320
-"""Longest side in pixels of the picture that is segmented: GrabCut takes 0.2 s, and the network sees only 64."""
+"""Longest side in pixels of the picture that is segmented: GrabCut takes 0.1 s, and is asked up to six times."""
 _AROUND = 0.15  # of a rectangle's sides: how much is seen around it, to tell the background. 0.35 and 0.7 are worse
 _ALL = 0.98  # share of the photo above which a rectangle leaves nothing around it that could tell the background
 _LEAST_SIDE = 8  # pixels of what is looked at
 _BEND = 0.75  # pixels that an outline may be off the mask's, to have fewer corners
+
+Tap = tuple[float, float]
+"""Place (x, y) that a person tapped on, as shares of the upright photo's width and height."""
 
 Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) of a closed line, as shares of the upright photo's width and height."""
@@ -40,12 +45,14 @@ class CutOut:
 
     area      the part of the photo that `rgb` shows
     warnings  sentences for the person who took the photo
+    models    learned models that made the mask
     """
 
     rgb: Bytes
     mask: Bools
     area: PhotoBox = WHOLE
     warnings: tuple[str, ...] = ()
+    models: tuple[UsedModel, ...] = ()
 
     def outline(self) -> tuple[Polygon, ...]:
         """Outlines of the mask's components, as lines around its pixels."""
@@ -70,25 +77,46 @@ class CutOut:
         return tuple((float(x), float(y)) for x, y in whole)
 
 
-def cut_out(photo: Photo, box: PhotoBox | None = None) -> CutOut:
+def cut_out(
+    photo: Photo,
+    box: PhotoBox | None = None,
+    tap: Tap | None = None,
+    models: ModelFolder | None = None,
+    tick: Tick = no_tick,
+) -> CutOut:
     """Segment the thing in a photo: by its mask or alpha channel, if that hides anything, else by colour. A mask that
     is broken or of another shape is not used, with a warning.
 
-    box  the rectangle that the thing lies in, where a person has drawn one
+    box     the rectangle that the thing lies in, where a person has drawn one
+    tap     a place on the thing, which counts where there is neither mask nor rectangle
+    models  learned models, of which one decides where nobody has said what is meant
 
     Raises CaptureError CAPTURE_NO_OBJECT where there is no thing, or what there is is cut off on every side.
     """
     (photo,), warnings = with_masks([photo], no_tick)
     tells = photo.mask is not None and not photo.mask.all()
-    cut = _cut_by_mask(photo, box) if tells else _cut_by_colour(photo, box)
+    cut = _cut_by_mask(photo, box) if tells else _cut_by_colour(photo, box, tap, models, tick)
     return replace(cut, warnings=(*warnings, *cut.warnings))
 
 
-def _cut_by_colour(photo: Photo, box: PhotoBox | None) -> CutOut:
-    """Cut out what is in the rectangle; without one, what stands out, or is proposed. Raises CAPTURE_NO_OBJECT."""
+def _cut_by_colour(
+    photo: Photo, box: PhotoBox | None, tap: Tap | None, models: ModelFolder | None, tick: Tick
+) -> CutOut:
+    """Cut out what is in the rectangle or at the tap; without them, what a model sees, else what is proposed.
+
+    Raises CAPTURE_NO_OBJECT.
+    """
+    if box is None and tap is not None:
+        rgb = _load_area(photo, WHOLE)
+        x, y = (min(side - 1, max(0, int(share * side))) for share, side in zip(tap, rgb.shape[1::-1], strict=True))
+        return CutOut(rgb, segment_at_tap(rgb, (x, y), photo.name))
     if box is None or box.width * box.height > _ALL:
         area = box or WHOLE
-        return _cut_whole(_load_area(photo, area), area, photo.name)
+        rgb = _load_area(photo, area)
+        learned = learned_cut(models, lambda longest: _load_area(photo, area, longest), rgb.shape, photo.name, tick)
+        if learned.mask is not None:
+            return CutOut(rgb, learned.mask, area, learned.warnings, learned.models)
+        return _cut_whole(rgb, area, photo.name, learned.warnings)
     area = box.grown(_AROUND)
     rgb = _load_area(photo, area)
     return CutOut(rgb, segment_in_box(rgb, *_pixels(box, area, rgb.shape), photo.name), area)
@@ -99,34 +127,20 @@ def rotate_clockwise(pixels: Bytes, turns: int) -> Bytes:
     return np.ascontiguousarray(np.rot90(pixels, -turns))
 
 
-def crop_square(cut: CutOut, side: int, fill: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Floats:
-    """Crop a square around the thing -> (side,side,4) float32 in [0,1]: colours times mask, and mask.
+def _cut_whole(rgb: Bytes, area: PhotoBox, name: str, warnings: tuple[str, ...]) -> CutOut:
+    """Cut out what is proposed, with a warning where it does not stand out. Raises CAPTURE_NO_OBJECT.
 
-    The thing's longer side takes `fill` of the square; its middle lies `shift` squares right of and below the square's.
+    warnings  why a learned model did not cut it out, where there is one
     """
-    rows, columns = np.flatnonzero(cut.mask.any(axis=1)), np.flatnonzero(cut.mask.any(axis=0))
-    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-    length = max(bottom - top, right - left) / fill
-    x0 = (left + right) / 2 - length * (0.5 + shift[0])
-    y0 = (top + bottom) / 2 - length * (0.5 + shift[1])
-    # Where the photo is finer than the square, warp to a multiple of the square's size, then average. Pixel i lies at
-    # x0 + (i + ½)·by − ½ of the photo.
-    fine = side * max(1, int(np.ceil(length / side)))
-    by = length / fine
-    warp = np.array([[by, 0, x0 + by / 2 - 0.5], [0, by, y0 + by / 2 - 0.5]])
-    mask = cut.mask[..., None].astype(np.float32)
-    layers = np.concatenate([cut.rgb / np.float32(255) * mask, mask], axis=2)
-    drawn = cv2.warpAffine(layers, warp, (fine, fine), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    return np.asarray(cv2.resize(drawn, (side, side), interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _cut_whole(rgb: Bytes, area: PhotoBox, name: str) -> CutOut:
-    """Cut out what stands out; where nothing does, what is proposed, with a warning. Raises CAPTURE_NO_OBJECT."""
-    with suppress(CaptureError):
-        return CutOut(rgb, segment_by_colour(rgb, name), area)
-    proposed = CutOut(rgb, propose(rgb, name), area)
+    try:
+        mask, stands_out = propose(rgb, name)
+    except CaptureError as error:
+        raise CaptureError(error.code, error.message, file=name, hints=(*error.hints, *warnings)) from None
+    proposed = CutOut(rgb, mask, area, warnings)
+    if stands_out:
+        return proposed
     warning = say("nothing_stands_out_from_background", name=name, bounds=proposed.bounds())
-    return replace(proposed, warnings=(warning,))
+    return replace(proposed, warnings=(*warnings, warning))
 
 
 def _cut_by_mask(photo: Photo, box: PhotoBox | None) -> CutOut:
@@ -147,14 +161,14 @@ def _cut_by_mask(photo: Photo, box: PhotoBox | None) -> CutOut:
     return CutOut(rotate_clockwise(stored, photo.turns), mask)
 
 
-def _load_area(photo: Photo, area: PhotoBox) -> Bytes:
-    """Load a part of the upright photo, its longer side `LONGEST` pixels where the photo has as many.
+def _load_area(photo: Photo, area: PhotoBox, most: int = LONGEST) -> Bytes:
+    """Load a part of the upright photo, its longer side `most` pixels where the photo has as many.
 
     Raises CAPTURE_NO_OBJECT for a part of hardly any pixels.
     """
     sides = photo.size if photo.turns % 2 == 0 else photo.size[::-1]
     shown = max(area.width * sides[0], area.height * sides[1])
-    longest = min(max(sides), round(LONGEST * max(sides) / shown))
+    longest = min(max(sides), round(most * max(sides) / shown))
     upright = rotate_clockwise(photo.load(longest), photo.turns)
     rows, columns = _pixels(area, WHOLE, upright.shape)
     part = np.ascontiguousarray(upright[rows, columns])

@@ -21,6 +21,7 @@ from capture2vr.sentences.sentence import say
 
 _BORDER_COLOURS = 4  # clusters of k-means
 _SURELY, _PERHAPS = 2.5, 1.2  # `_strangeness` above which a pixel is surely, or perhaps, the thing
+_PLAIN_LAB = 1.5  # CIELAB: most spread of a plain border's colours about their clusters; carpets have 1.6 and more
 _LEAST_LAB = 7.0  # least spread, in CIELAB: lamps and lenses make as much of one wall
 
 
@@ -43,14 +44,26 @@ def segment_by_colour(rgb: Bytes, name: str) -> Bools:
 def _strangeness(rgb: Bytes) -> Floats:
     """Distance (h,w) of each pixel's colour from the colours along the border, in units of their usual spread."""
     lab = lab_of(rgb)
+    centres, rms = _border_colours(lab)
+    spread = max(_LEAST_LAB, 2 * rms)
+    away = np.min([np.sqrt(((lab - centre) ** 2).sum(axis=2)) for centre in centres], axis=0)
+    return np.asarray(away / spread)
+
+
+def is_plain(rgb: Bytes) -> bool:
+    """Whether a picture's border has a few colours alone: then all that differs from them is the thing."""
+    return _border_colours(lab_of(rgb))[1] < _PLAIN_LAB
+
+
+def _border_colours(lab: Floats) -> tuple[Floats, float]:
+    """Means (4,3) of the clusters of the border's colours, and how far these are from their cluster's: the root mean
+    square, in CIELAB."""
     border = lab[~inside(lab.shape[:2])]
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.5)
     cv2.setRNGSeed(0)
     unlabelled = np.zeros((len(border), 1), np.int32)
     compactness, _, centres = cv2.kmeans(border, _BORDER_COLOURS, unlabelled, criteria, 3, cv2.KMEANS_PP_CENTERS)
-    spread = max(_LEAST_LAB, 2 * float(np.sqrt(compactness / len(border))))
-    away = np.min([np.sqrt(((lab - centre) ** 2).sum(axis=2)) for centre in centres], axis=0)
-    return np.asarray(away / spread)
+    return np.asarray(centres), float(np.sqrt(compactness / len(border)))
 
 
 def _seeds(strange: Floats) -> Bytes | None:

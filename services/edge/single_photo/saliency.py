@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import shortest_path
+from scipy.sparse.csgraph import dijkstra, shortest_path
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats, Ints
 
@@ -24,6 +24,7 @@ _SAME = 3.0  # CIELAB: smaller steps on a way are noise, and cost nothing
 _SIMILAR = 10.0  # CIELAB: the paper's sigma of colours
 _FAR = 0.4  # of the longer side: the paper's sigma of places
 _MIDDLE = 0.5  # of half a side: sigma of the prior for the picture's middle
+_NOISE, _NEXT = 2.0, 0.5  # CIELAB: of a step on the way from a pixel, what is noise; and what every step costs
 _FREE = 1e-6  # cost of a step without cost, because a sparse graph has no edges of 0
 
 
@@ -51,6 +52,17 @@ def saliency(rgb: Bytes) -> Floats:
     smooth = _optimise(parts, apart, background, contrast / contrast.max())
     smooth = (smooth - smooth.min()) / max(float(np.ptp(smooth)), _FREE)
     return np.asarray(smooth[parts.labels])
+
+
+def colour_way(rgb: Bytes, at: tuple[int, int]) -> Floats:
+    """Colour steps (h,w) in CIELAB on the way from a pixel (x, y) to each other one, at least."""
+    parts = _superpixels(rgb)
+    one, other = parts.pairs.T
+    steps = np.linalg.norm(parts.colour[one] - parts.colour[other], axis=1)
+    count = len(parts.colour)
+    graph = csr_matrix((np.maximum(steps - _NOISE, 0) + _NEXT, (one, other)), (count, count))
+    way = dijkstra(graph, directed=False, indices=parts.labels[at[1], at[0]])
+    return np.asarray(way[parts.labels])
 
 
 def _superpixels(rgb: Bytes) -> _Superpixels:

@@ -53,6 +53,14 @@ def main_part(mask: Bools, *, most: int | None = None) -> Bools:
     return np.isin(labels, best[merit[best] > _APART * merit.max()] + 1)
 
 
+def ellipse(shape: tuple[int, ...], middle: tuple[int, int], half: tuple[float, float]) -> Bools:
+    """Mask (h,w) of an ellipse around a pixel (x, y), by half of its width and height in pixels."""
+    drawn = np.zeros(shape, np.uint8)
+    axes = max(1, round(half[0])), max(1, round(half[1]))
+    cv2.ellipse(drawn, middle, axes, 0, 0, 360, 1, cv2.FILLED)
+    return drawn > 0
+
+
 def lab_of(rgb: Bytes) -> Floats:
     """Convert to CIELAB (h,w,3), blurred against noise, lightness scaled by `_LIGHTNESS`."""
     lab = cv2.cvtColor(cv2.GaussianBlur(rgb, (0, 0), 1.5).astype(np.float32) / 255, cv2.COLOR_RGB2LAB)

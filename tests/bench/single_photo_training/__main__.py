@@ -1,7 +1,7 @@
 """`python -m tests.bench.single_photo_training --out DIR`: train all heads from nothing, or resume their training.
 
-The files HEAD.pt are those that are shipped: pixels.pt belongs to `single_photo/weights`, the fields, which only the
-bench compares, to `single_photo_training/weights`.
+The files HEAD.pt are those that the bench reads: pixels.pt belongs to `single_photo_network/weights`, the fields to
+`single_photo_training/weights`.
 """
 
 from __future__ import annotations

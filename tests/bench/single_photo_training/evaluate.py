@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from capture2vr.edge.single_photo.camera import about_vertical
-from capture2vr.edge.single_photo.network import POINTS, Pixels
+from tests.bench.single_photo_network.camera import about_vertical
+from tests.bench.single_photo_network.network import POINTS, Pixels
 from tests.bench.single_photo_training.batches import Batch, held_out_batch
 from tests.bench.single_photo_training.field_heads import Field, field_points
 from tests.bench.single_photo_training.losses import chamfer, f_score

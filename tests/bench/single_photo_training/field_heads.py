@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from capture2vr.edge.single_photo.camera import about_vertical, project
-from capture2vr.edge.single_photo.network import LATENT, POINTS, WIDTHS, Pixels, Prediction, likeliest_yaw
+from tests.bench.single_photo_network.camera import about_vertical, project
+from tests.bench.single_photo_network.network import LATENT, POINTS, WIDTHS, Pixels, Prediction, likeliest_yaw
 from tests.bench.single_photo_training.losses import nearest
 
 ANCHORS = 600  # per thing, as published

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from capture2vr.edge.single_photo.camera import FILL, SIDE, project
+from tests.bench.single_photo_network.camera import FILL, SIDE, project
 from tests.bench.single_photo_training.shapes import Shapes
 
 _SUPER = 2  # supersampling of the splats: photos that were downsampled have soft edges too

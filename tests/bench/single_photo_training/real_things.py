@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from capture2vr.edge.errors import CaptureError, EdgeError
 from capture2vr.edge.read_capture import read_capture
-from capture2vr.edge.single_photo.camera import about_vertical
+from tests.bench.single_photo_network.camera import about_vertical
 from tests.bench.single_photo_training.shapes import SAMPLES, Shapes, normalise
 
 SUFFIXES = (".obj", ".off", ".stl", ".ply", ".glb", ".gltf")

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from capture2vr.edge.single_photo.camera import about_vertical
+from tests.bench.single_photo_network.camera import about_vertical
 from tests.bench.single_photo_training import clothes, furniture, household, vehicles
 from tests.bench.single_photo_training.lofts import Dice
 

@@ -21,8 +21,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from capture2vr.edge.field import checkpoint
-from capture2vr.edge.single_photo.camera import about_vertical, project
-from capture2vr.edge.single_photo.network import POINTS, Pixels, bin_of
+from tests.bench.single_photo_network.camera import about_vertical, project
+from tests.bench.single_photo_network.network import POINTS, Pixels, bin_of
 from tests.bench.single_photo_training.batches import Batch, training_batches
 from tests.bench.single_photo_training.evaluate import evaluate_head
 from tests.bench.single_photo_training.field_heads import Field, value_and_gradient

@@ -8,9 +8,9 @@ from pathlib import Path
 from torch import nn
 
 from capture2vr.edge.field.checkpoint import saved_bytes
-from capture2vr.edge.single_photo.network import Pixels
-from capture2vr.edge.single_photo.weights import BACKBONE, SHIPPED, load_pixels, load_weights, read_weights
 from capture2vr.process.atomic_write import atomic_write
+from tests.bench.single_photo_network.network import Pixels
+from tests.bench.single_photo_network.weights import BACKBONE, SHIPPED, load_pixels, load_weights, read_weights
 from tests.bench.single_photo_training.field_heads import AnchorUdf, Field, Implicit
 
 HEADS = ("pixels", "anchor-udf", "implicit")

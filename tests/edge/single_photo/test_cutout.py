@@ -163,7 +163,7 @@ def test_the_proposal_is_the_thing(scenes: list[tuple[Photo, Bools]]) -> None:
     for each, truth in scenes:
         rgb = each.load(320)
         small = cv2.resize(truth.astype(np.uint8), rgb.shape[1::-1], interpolation=cv2.INTER_AREA) > 0
-        overlaps.append(overlap(propose(rgb, each.name), small))
+        overlaps.append(overlap(propose(rgb, each.name)[0], small))
     assert np.mean(overlaps) > 0.85
 
 

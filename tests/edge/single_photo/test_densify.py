@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Floats
-from capture2vr.edge.single_photo.densify import densify
-from capture2vr.edge.single_photo.network import GRID, POINTS
+from tests.bench.single_photo_network.densify import densify
+from tests.bench.single_photo_network.network import GRID, POINTS
 
 
 def sheet(*, gap: float = 0.0, height: float = 0.0) -> Floats:

@@ -1,4 +1,4 @@
-"""From one photo to points: the cut-out, the shipped network, the training, and what is no thing at all."""
+"""From one photo to an asset: the cut-out, and what is no thing; the network of the bench, and its training."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture2vr.edge.arrays import Bytes, no_tick
+from capture2vr.edge.arrays import Bytes
 from capture2vr.edge.errors import Cancelled, CaptureError, EdgeError
 from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.preset import load_preset
 from capture2vr.edge.read_capture import read_capture
-from capture2vr.edge.single_photo.camera import SIDE
-from capture2vr.edge.single_photo.cutout import CutOut, crop_square, cut_out
-from capture2vr.edge.single_photo.guess import MOST_CONFIDENT, Guess, guess
-from capture2vr.edge.single_photo.network import BINS, POINTS, Pixels
-from capture2vr.edge.single_photo.prediction_views import VIEWS, _choose_yaw, predict_from_views
-from capture2vr.edge.single_photo.weights import SHIPPED, load_pixels
+from capture2vr.edge.single_photo.cutout import cut_out
+from capture2vr.edge.single_photo.relief import MOST_CONFIDENT, make_relief
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
+from tests.bench.single_photo_network.camera import SIDE
+from tests.bench.single_photo_network.network import BINS, POINTS, Pixels
+from tests.bench.single_photo_network.prediction_views import VIEWS, _choose_yaw, predict_from_views
+from tests.bench.single_photo_network.weights import SHIPPED, load_pixels
 from tests.bench.single_photo_training import __main__ as training_command
 from tests.bench.single_photo_training.batches import HELD_OUT, held_out_batch, training_batches
 from tests.bench.single_photo_training.evaluate import head_points
@@ -40,7 +40,7 @@ from tests.bench.single_photo_training.field_heads import (
     field_points,
     value_and_gradient,
 )
-from tests.bench.single_photo_training.losses import chamfer, f_score
+from tests.bench.single_photo_training.losses import chamfer
 from tests.bench.single_photo_training.pictures import render_pictures
 from tests.bench.single_photo_training.shapes import SAMPLES, generate_shapes
 from tests.bench.single_photo_training.train import HeadTraining, train
@@ -85,11 +85,6 @@ def dress() -> tuple[Bytes, torch.Tensor]:
     return rgb.astype(np.uint8), made.xyz
 
 
-@pytest.fixture(scope="module")
-def guessed(dress: tuple[Bytes, torch.Tensor]) -> Guess:
-    return guess(photo(dress[0]), tick=no_tick)
-
-
 @pytest.mark.slow
 @settings(max_examples=6)
 @given(st.integers(90, 310), st.integers(90, 210), st.integers(30, 70))
@@ -115,7 +110,7 @@ def test_a_disc_before_a_wall_is_cut_out_wherever_it_is(x: int, y: int, radius: 
 )
 def test_nothing_to_see_is_an_error_with_advice(rgb: Bytes) -> None:
     with pytest.raises(CaptureError) as caught:
-        guess(photo(rgb, name="wall.jpg"), tick=no_tick)
+        cut_out(photo(rgb, name="wall.jpg"))
     assert caught.value.code == "CAPTURE_NO_OBJECT"
     assert caught.value.file == "wall.jpg"
     assert len(caught.value.hints) >= 1
@@ -154,38 +149,6 @@ def test_an_alpha_channel_that_hides_nothing_is_none() -> None:
     assert cut_out(opaque).mask.mean() == pytest.approx(truth.mean(), rel=0.1)
 
 
-@pytest.mark.parametrize("size", [20, 60, 300])
-def test_the_square_holds_the_thing_in_its_middle(size: int) -> None:
-    mask = np.zeros((400, 500), bool)
-    mask[40 : 40 + size, 100 : 100 + size // 2] = True
-    rgb = np.where(mask[..., None], np.uint8([200, 100, 50]), np.uint8(9)).astype(np.uint8)
-    picture = crop_square(CutOut(rgb, mask), 64, 0.875)
-    assert picture.shape == (64, 64, 4)
-    covered = np.array([picture[..., 3].max(axis=axis).sum() for axis in (1, 0)])
-    assert np.allclose(covered, [56, 28], atol=2.5)
-    assert np.allclose(picture[30:34, 30:34, :3], np.array([200, 100, 50]) / 255, atol=0.02)
-    moved = crop_square(CutOut(rgb, mask), 64, 0.875, shift=(0.05, 0.0))[..., 3]
-    centre = [(each.sum(axis=0) @ np.arange(64)) / each.sum() for each in (picture[..., 3], moved)]
-    assert centre[1] - centre[0] == pytest.approx(3.2, abs=0.5)
-
-
-def test_the_guess_of_a_held_out_dress_is_a_dress(guessed: Guess, dress: tuple[Bytes, torch.Tensor]) -> None:
-    assert 2000 <= len(guessed.xyz) == len(guessed.rgb) == len(guessed.confidence)
-    assert np.ptp(guessed.xyz, axis=0).max() == pytest.approx(1)
-    assert guessed.rgb.dtype == np.uint8
-    assert 0 <= guessed.confidence.min() <= guessed.confidence.max() <= MOST_CONFIDENT
-    truth = dress[1][:, :POINTS]
-    truth = truth / (truth.amax(dim=1) - truth.amin(dim=1)).amax()
-    some = torch.from_numpy(guessed.xyz).float()[None, :: len(guessed.xyz) // POINTS]
-    assert f_score(some, truth, near=0.1).item() > 0.75
-
-
-def test_the_dress_has_the_photo_s_colours(guessed: Guess, dress: tuple[Bytes, torch.Tensor]) -> None:
-    cut = cut_out(photo(dress[0]))
-    shown = np.median(cut.rgb[cut.mask], axis=0)
-    assert np.abs(np.median(guessed.rgb, axis=0) - shown).max() < 40
-
-
 def test_the_outline_tells_how_a_bar_is_turned() -> None:
     along = torch.linspace(-1, 1, 400)
     bar = torch.stack([0.1 * torch.sin(40 * along), 0.1 * torch.cos(40 * along), along], dim=1)[None]
@@ -199,13 +162,13 @@ def test_the_outline_tells_how_a_bar_is_turned() -> None:
     assert _choose_yaw(bar, unsure, camera, mask).cos().item() > 0.97
 
 
-def test_a_guess_can_be_cancelled(dress: tuple[Bytes, torch.Tensor]) -> None:
+def test_a_relief_can_be_cancelled(dress: tuple[Bytes, torch.Tensor]) -> None:
     def stop(fraction: float) -> None:
         if fraction > 0.5:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        guess(photo(dress[0]), tick=stop)
+        make_relief(photo(dress[0]), tick=stop)
 
 
 @pytest.mark.slow
@@ -330,7 +293,7 @@ def test_one_photo_in_an_asset_out_that_says_it_is_a_guess(tmp_path: Path, dress
     cv2.imwrite(str(tmp_path / "dress.png"), dress[0][..., ::-1])
     preset, options = replace(load_preset("draft"), resolution=48), JobOptions(names=AssetNames("Dress"))
     steps = reconstruct(read_capture(tmp_path), preset, options)
-    (bundle,) = (step for step in steps if isinstance(step, Bundle))
+    *_, bundle = (step for step in steps if isinstance(step, Bundle))
     manifest = bundle.manifest
     assert manifest["origin"] == "guess"
     assert 0 < manifest["confidence"] <= MOST_CONFIDENT

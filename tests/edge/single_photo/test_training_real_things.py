@@ -12,7 +12,7 @@ import torch
 import trimesh
 
 from capture2vr.edge.errors import EdgeError
-from capture2vr.edge.single_photo.camera import about_vertical
+from tests.bench.single_photo_network.camera import about_vertical
 from tests.bench.single_photo_training.batches import HELD_OUT, real_batch, training_batches
 from tests.bench.single_photo_training.real_things import (
     UNKNOWN,

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.single_photo.camera import about_vertical, project
-from capture2vr.edge.single_photo.network import BINS, GRID, base_sphere, bin_of, likeliest_yaw
+from tests.bench.single_photo_network.camera import about_vertical, project
+from tests.bench.single_photo_network.network import BINS, GRID, base_sphere, bin_of, likeliest_yaw
 from tests.bench.single_photo_training.batches import HELD_OUT, held_out_batch
 from tests.bench.single_photo_training.lofts import Dice, box, loft, spindle, where
 from tests.bench.single_photo_training.losses import chamfer, chamfer_loss, f_score, nearest, udf_loss

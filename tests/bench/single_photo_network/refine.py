@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from capture2vr.edge.single_photo.camera import project
+from tests.bench.single_photo_network.camera import project
 
 _SHOWN = 32  # features of a place in the picture
 _WIDE = 48  # channels inside a round

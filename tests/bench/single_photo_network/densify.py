@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from capture2vr.edge.arrays import Floats
-from capture2vr.edge.single_photo.network import GRID
+from tests.bench.single_photo_network.network import GRID
 
 _STRETCHED = 2.0
 """Most length of an edge of the grid, of their median: longer ones cross an opening, or lie between two parts."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +9,10 @@ import torch
 from torch import nn
 
 from capture2vr.edge.errors import EdgeError
-from capture2vr.edge.single_photo.network import Pixels
+from tests.bench.single_photo_network.network import Pixels
 
 SHIPPED = Path(__file__).with_name("weights")
-"""Folder of the weights that come with the product: pixels.pt."""
+"""Folder of the weights that the bench and the paper compare: pixels.pt."""
 
 BACKBONE = "backbone."
 """Prefix of the parameters that the file of another head leaves out, because they are in pixels.pt."""
@@ -26,18 +25,12 @@ def load_pixels(folder: Path = SHIPPED) -> Pixels:
     return network.eval()
 
 
-@cache
-def shipped_pixels() -> Pixels:
-    """The shipped network, cached per process and shared: do not train it. Raises EdgeError WEIGHTS_ABSENT."""
-    return load_pixels().requires_grad_(False)
-
-
 def read_weights(path: Path) -> dict[str, Any]:
     """Read the content of a file of weights. Raises EdgeError WEIGHTS_ABSENT."""
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
-        hint = "install the package again"
+        hint = "check out the repository again"
         raise EdgeError("WEIGHTS_ABSENT", f"the weights file {path} does not exist", hints=(hint,)) from None
     return content
 

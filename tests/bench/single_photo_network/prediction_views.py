@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from capture2vr.edge.single_photo.camera import SIDE, about_vertical, project
-from capture2vr.edge.single_photo.network import BINS, Pixels
+from tests.bench.single_photo_network.camera import SIDE, about_vertical, project
+from tests.bench.single_photo_network.network import BINS, Pixels
 
 VIEWS = 2  # views whose points are used
 _TRIED = 2 * BINS  # yaws that are compared

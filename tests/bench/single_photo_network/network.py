@@ -20,8 +20,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from capture2vr.edge.single_photo.camera import about_vertical
-from capture2vr.edge.single_photo.refine import Refine
+from tests.bench.single_photo_network.camera import about_vertical
+from tests.bench.single_photo_network.refine import Refine
 
 WIDTHS = (32, 48, 96, 192)  # channels of the feature maps, the finest first
 LATENT = 256  # numbers that describe the whole picture

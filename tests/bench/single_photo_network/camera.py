@@ -16,7 +16,7 @@ from torch import Tensor
 SIDE = 64
 """Pixels along each side of the network's input; the training time is proportional to the number of pixels."""
 FILL = 0.88
-"""Share of the frame that the mask's longer side takes: on average in training, exactly in a cropped photo."""
+"""Share of the frame that the mask's longer side takes, on average."""
 
 
 def project(xyz: Tensor, camera: Tensor) -> tuple[Tensor, Tensor]:
