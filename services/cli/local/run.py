@@ -22,6 +22,7 @@ from capture2vr.edge.engine.nouns import OpenEngine
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
 from capture2vr.edge.job_resources import JobResources
+from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from capture2vr.errors import BadInput, sentence
 from capture2vr.library.source import open_source
@@ -99,7 +100,7 @@ def run_preset(
             capture = open_source(source, Path(scratch))
             job = replace(options.job, cut=options.job.cut or options.job.edits.cut or "auto", preset=preset.name)
             job = replace(job.completed(), names=AssetNames(printable(source.stem)))
-            resources = JobResources(options.device, results.checkpoint, engine=engine)
+            resources = JobResources(options.device, results.checkpoint, engine=engine, models=_models(options.device))
             _reconstruct_into(results, capture, preset, job, resources, tick)
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_error_sentence(error, source)) from error
@@ -163,6 +164,14 @@ def _reconstruct_into(
     results.checkpoint.unlink(missing_ok=True)
     shutil.rmtree(tiles_folder(results.checkpoint), ignore_errors=True)
     print_result(results.out, results.report)
+
+
+def _models(device: str) -> ModelFolder | None:
+    """Return the learned models of the setting EDGE_MODELS, as a worker does. Raises BadInput for a wrong setting."""
+    from capture2vr.cli.local.edge_settings import edge_settings
+
+    folder = edge_settings().models
+    return ModelFolder(folder, device) if folder else None
 
 
 def _encoder(target: Target) -> EncodeKtx2 | None:

@@ -30,6 +30,13 @@ _COVER = (0.9, 0.8, 0.6)
 """Least share of the object in a photo where the surface is."""
 _RAGGED = (8.0, 15.0, 25.0)
 """Most border over the root of an object's area. A dress has 6, a glass bottle of crumpled foil 39."""
+_OPEN = 0.5
+"""Share of an object's pixels that show its inside, from where that is most, from which on it is an open shell. Of what
+was shot from one side, fruit that was closed has .002, half a toy animal .99."""
+_SHUT, _SCRAPS = 0.1, 1.2
+"""Share of an object's pixels that show its inside below which its surface is shut, and border over root from which on
+that of a shut one is of scraps that stick out. Fruit has .3, bananas .5, a single opening of a tenth .6; a plush dog
+with dozens of scraps 2.9, a plaster temple 3.3."""
 _MADE_UP = (0.5, 0.6, 0.75)
 """Most of the surface that nobody saw. Fruit that was shot from above has .43."""
 
@@ -64,7 +71,7 @@ def grade_asset(certificate: Certificate, check: PhotoCheck, filled: float) -> G
     worst = max(faults, key=lambda each: each.level)
     if not worst.level:
         return Grade("good")
-    if check.one_side and worst.kind != "depth":
+    if check.one_side and not check.flat and worst.kind != "depth":
         worst = replace(worst, because=say("photos_of_one_side", degrees=check.one_side), advice="again_all_around")
     other = next((each for each in faults if each.level == 1 == worst.level and each.kind != worst.kind), None)
     if other is None:
@@ -105,7 +112,18 @@ def _faults(
     cover = sum(each.figures.cover for each in checks) / len(checks)
     covered = _above(-cover, tuple(-each for each in _COVER))
     yield _Fault(covered, "holes", say("object_not_covered", share=cover), "again_around")
-    ragged = 0.0 if check.scene else certificate.border_over_root
+    yield from _faults_of_shape(certificate, check, filled)
+
+
+def _faults_of_shape(certificate: Certificate, check: PhotoCheck, filled: float) -> Iterator[_Fault]:
+    """Yield how bad each figure is that no single photo shows."""
+    shell = check.one_side and not check.flat and certificate.largest_hole > _OPEN
+    yield _Fault(2 if shell else 0, "holes", say("photos_of_one_side", degrees=check.one_side), "again_all_around")
+    shut = not check.scene and certificate.largest_hole < _SHUT
+    scraps = shut and certificate.border_over_root > _SCRAPS
+    yield _Fault(1 if scraps else 0, "holes", say("scraps_stick_out_of_surface"), "again_before_other_colour")
+    # A room and a relief end where their photos do.
+    ragged = 0.0 if check.scene or check.flat else certificate.border_over_root
     yield _Fault(_above(ragged, _RAGGED), "holes", say("surface_is_ragged", border=ragged), "again_matt")
     yield _Fault(_above(filled, _MADE_UP), "made up", say("much_was_filled_in", share=filled), "again_around")
 

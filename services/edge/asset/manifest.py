@@ -188,10 +188,12 @@ def build_manifest(
         "confidence": round(float(points.confidence[points.measured].mean()), 3),
         "points": int(points.measured.sum()) + quality["held_out"],
         "anchors": {"xyz_m": anchors.ravel().tolist(), "rgb": anchor_colours.ravel().tolist()},
+        "models": _models(points),
         "edits": points.edits.as_json,
         "scale_confidence": points.scale_confidence,
         "capture_to_asset": [float(value) for value in to_asset.ravel()],
         "capture_offset": None if points.offset is None else [float(value) for value in points.offset],
+        "capture_crs": points.crs or None,
         "unit_frame": {"centre": [float(value) for value in unit.centre], "size": float(unit.size)},
         "bounds_m": [low.tolist(), high.tolist()],
         "size_m": (high - low).tolist(),
@@ -201,6 +203,11 @@ def build_manifest(
         "seconds": dict(seconds),
         "warnings": all_warnings,
     }
+
+
+def _models(points: Points) -> list[dict[str, str]]:
+    """Learned models that had a part in the points, each with its file's hash."""
+    return [asdict(model) for model in points.models]
 
 
 def _up_source(points: Points) -> dict[str, Any] | None:

@@ -16,6 +16,7 @@ from capture2vr.edge.field.device import Device
 from capture2vr.edge.jobs.available_presets import capabilities_of
 from capture2vr.edge.jobs.job_process import Done, JobProcess, Kept, MadeBundle
 from capture2vr.edge.jobs.job_task import Machine, fit_bytes, too_large
+from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.preset import AUTOMATIC, Preset
 from capture2vr.edge.worker.capabilities import Capabilities
 from capture2vr.edge.worker.coded_messages import coded_progress, coded_published
@@ -42,6 +43,7 @@ class FieldFitter:
     policy   by which it publishes
     encode   encoder of KTX2 textures; without it, targets that want KTX2 are refused
     engine   works at the tiles of large scenes: the setting EDGE_ENGINE, and a job's room; None: the job's process
+    models   learned models that may help; None: none
     """
 
     def __init__(
@@ -53,9 +55,10 @@ class FieldFitter:
         policy: PublishPolicy = DEFAULT_POLICY,
         encode: EncodeKtx2 | None = None,
         engine: tuple[str, Needs] | None = None,
+        models: ModelFolder | None = None,
     ) -> None:
         self.store = store
-        self.machine = Machine(device.name, memory.total_bytes, encode, engine)
+        self.machine = Machine(device.name, memory.total_bytes, encode, engine, models)
         self._policy = policy
         self.presets = presets
         self.device = device

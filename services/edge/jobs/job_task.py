@@ -13,6 +13,7 @@ from google.protobuf.message import Message
 
 from capture2vr.edge.engine.nouns import Needs
 from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.preset import AUTOMATIC, Preset, memory_bytes
 from capture2vr.order.job_options import JobOptions
 from capture2vr.sentences.sentence import say
@@ -29,12 +30,14 @@ class Machine:
     memory_bytes  for fits, of all jobs together
     encode        encoder of KTX2 textures; None: targets that want them are refused
     engine        the setting EDGE_ENGINE, which works at the tiles of large scenes, and the room of one job there
+    models        learned models that its operator has added; None: none
     """
 
     device: str
     memory_bytes: int
     encode: EncodeKtx2 | None = None
     engine: tuple[str, Needs] | None = None
+    models: ModelFolder | None = None
 
 
 @dataclass(frozen=True, slots=True)

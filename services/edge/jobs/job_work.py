@@ -115,7 +115,10 @@ class _Job:
                 folder, reading=task.options.reading, tick=lambda fraction: self._send_progress(reading)
             )
         seconds = time.perf_counter() - began
-        steps = prepare(capture, self._bar, task.options, refines=task.trains, device=task.machine.device)
+        machine = task.machine
+        steps = prepare(
+            capture, self._bar, task.options, refines=task.trains, device=machine.device, models=machine.models
+        )
         prepared = self._run_to_end(steps)
         self._talk.send({"anchors": on_wire(_anchor_points(prepared.points))})
         return prepared, seconds

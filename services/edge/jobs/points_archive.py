@@ -26,6 +26,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import PictureCamera, ScaleConfidence, UpSource
 from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints
+from capture2vr.edge.geodesy.well_known_text import MOST_CHARACTERS, tidy
 from capture2vr.edge.jobs.archived_arrays import invalid, read_array, write_array
 from capture2vr.edge.jobs.archived_views import (
     MOST_VIEWS,
@@ -38,6 +39,7 @@ from capture2vr.edge.jobs.archived_views import (
     write_views,
 )
 from capture2vr.edge.jobs.archived_whole import MOST_WHOLE, RECORD, WHOLE, ArchivedWhole, read_whole, write_whole
+from capture2vr.edge.models.nouns import UsedModel
 from capture2vr.edge.points.clean_cloud import MIN_POINTS
 from capture2vr.edge.points.nouns import CutReport, Points, UnseenSide
 from capture2vr.edge.worker.capabilities import POINTS_VERSION
@@ -51,6 +53,9 @@ MOST_POINTS = 4_000_000
 
 MOST_CAMERAS = 2_000
 """Most cameras of photos that are sent along: for downloads alone, so those of further photos are left out."""
+
+MOST_MODELS = 16
+"""Most learned models that may have had a part in a cloud."""
 
 _HEAD, _XYZ, _RGB, _CONFIDENCE, _INFERRED = "points.json", "xyz.npy", "rgb.npy", "confidence.npy", "inferred.npy"
 _HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB, 2,000 cameras 1 MB
@@ -84,6 +89,8 @@ class _Head:
     up: _Vector | None
     up_source: UpSource | None
     offset: _Vector | None
+    crs: Annotated[str, Field(max_length=MOST_CHARACTERS)]
+    models: Annotated[tuple[UsedModel, ...], Field(max_length=MOST_MODELS)]
     warnings: tuple[str, ...]
     unseen: tuple[UnseenSide, ...]
     cut: CutReport | None
@@ -163,6 +170,8 @@ def _read_points(scratch: Path, head: _Head) -> Points:
         unseen=head.unseen,
         up_source=head.up_source,
         offset=_array(head.offset),
+        crs=tidy(head.crs),
+        models=head.models,
         cut=head.cut,
         edits=head.edits,
         cameras=head.cameras,
@@ -184,6 +193,8 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
         up=_vector(points.up),
         up_source=points.up_source,
         offset=_vector(points.offset),
+        crs=points.crs,
+        models=points.models,
         warnings=points.warnings,
         unseen=points.unseen,
         cut=points.cut,

@@ -49,7 +49,7 @@ class Reconstructor:
         self._own_offer = fitter.offer
         self._central = central
         self._collection = collection
-        self._inspector = Inspector()
+        self._inspector = Inspector(models=fitter.machine.models)
         self._processes = processes or JobProcesses()
 
     def warm_up(self) -> None:

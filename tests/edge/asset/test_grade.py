@@ -27,7 +27,7 @@ def graded(
     *photos: SurfaceCheck, border: float = 0.0, filled: float = 0.0, own: bool = False, scene: bool = False
 ) -> Grade:
     distances = np.zeros(1)
-    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 2 * border, 1, 0, 1.0, 0.0, distances)
+    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 2 * border, 1, 0, 1.0, 0.3, distances)
     check = PhotoCheck(own=photos, scene=scene) if own else PhotoCheck(photos, scene=scene)
     grade = grade_asset(certificate, check, filled)
     assert grade is not None
@@ -130,6 +130,51 @@ def test_photos_of_one_side_are_the_cause_of_what_is_missing_and_not_of_shine() 
     assert "all the way around" in torn.advice
     assert "shiny" in graded_from_one_side(depth=0.4).because
     assert graded_from_one_side() == Grade("good")
+
+
+@pytest.mark.parametrize(
+    ("one_side", "flat", "hole", "level"),
+    [
+        (53.0, False, 0.99, "incomplete"),  # half a toy animal
+        (85.0, True, 0.98, "good"),  # a relief, which has no other side
+        (104.0, False, 0.002, "good"),  # fruit from above, which was closed
+        (0.0, False, 0.94, "good"),  # a dress, seen all around
+    ],
+)
+def test_half_an_object_is_incomplete_however_well_its_photos_show_that_half(
+    one_side: float, flat: bool, hole: float, level: str
+) -> None:
+    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 0.0, 1, 0, 1.0, hole, np.zeros(1))
+    grade = grade_asset(certificate, PhotoCheck((photo(),), one_side=one_side, flat=flat), 0.0)
+    assert grade is not None
+    assert grade.level == level
+    assert ("all the way around" in grade.advice) == (level == "incomplete")
+
+
+@pytest.mark.parametrize(
+    ("border", "hole", "level"),
+    [
+        (2.9, 0.03, "usable"),  # a plush dog with dozens of scraps
+        (0.5, 0.002, "good"),  # bananas, whose surface has a slit
+        (0.6, 0.09, "good"),  # one opening
+        (2.9, 0.9, "good"),  # a bowl
+    ],
+)
+def test_borders_of_a_shut_surface_are_scraps(border: float, hole: float, level: str) -> None:
+    certificate = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 2 * border, 1, 0, 1.0, hole, np.zeros(1))
+    grade = grade_asset(certificate, PhotoCheck((photo(),)), 0.0)
+    assert grade is not None
+    assert grade.level == level
+    assert ("scraps" in grade.because) == ("another colour" in grade.advice) == (level == "usable")
+
+
+def test_a_relief_ends_where_its_photos_do_and_is_told_its_own_fault() -> None:
+    torn = Certificate(1, *[0.0] * 8, 4.0, 1, 1, 2 * 23.0, 1, 0, 1.0, 0.98, np.zeros(1))
+    relief = PhotoCheck((photo(lace=0.03),), one_side=85.0, flat=True)
+    levels = [grade_asset(torn, each, 0.0) for each in (relief, replace(relief, one_side=0.0, flat=False))]
+    assert [each and each.level for each in levels] == ["usable", "incomplete"]
+    assert levels[0] is not None
+    assert "holes" in levels[0].because
 
 
 def test_the_worst_photo_counts_and_is_named() -> None:

@@ -99,6 +99,14 @@ def test_surface_and_colours_are_compared_in_the_frames_of_unit_and_asset() -> N
     assert figures.cover == 1
 
 
+@pytest.mark.parametrize(("shape", "flat"), [(SHEET, True), (surfaces.hemisphere(), False)])
+def test_a_relief_is_told_from_half_an_object_that_was_shot_from_one_side(shape: Mesh, flat: bool) -> None:
+    known = points(tuple(map(view, photographs(shape, EYES))))
+    check = check_surface_with_photos(shape, known, UnitFrame(centre=CENTRE, size=SIZE))
+    assert check.one_side > 15
+    assert check.flat == flat
+
+
 def test_each_rendering_is_beside_its_own_photo_where_one_shows_nothing() -> None:
     """The first of three photos looks past the thing, so that the checks are fewer than the photos."""
     away = photographs(Mesh(SHEET.vertices + 40, SHEET.faces), [(0.0, 0.3, 1.4)])[0]

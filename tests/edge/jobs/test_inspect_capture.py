@@ -8,6 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 
+import cv2
+import grpc
+import numpy as np
 import psutil
 import pytest
 
@@ -15,10 +18,14 @@ from capture2vr.edge.arrays import no_tick
 from capture2vr.edge.errors import Cancelled, CaptureError
 from capture2vr.edge.jobs.inspect_capture import Inspector
 from capture2vr.edge.jobs.reading_limits import limited_reading
+from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.process.fork_client import ForkServer
 from tests.bench.load.attack_files import obj_of_materials, ply_of_one_face
+from tests.edge.jobs.test_forward_job import process
 from tests.support import captures
 from tests.support.command_lines import children_running
+from tests.support.patience import PATIENCE_S
+from tests.support.workers.edge_client import Client, upload
 
 
 def packed(folder: Path, **files: bytes) -> Path:
@@ -75,11 +82,36 @@ def test_what_would_cost_much_is_refused_before(
     assert failure.hints
 
 
+def photo_archive(folder: Path) -> Path:
+    """A blue rectangle before a light wall."""
+    picture = np.full((240, 320, 3), 215, np.uint8)
+    picture[60:180, 100:220] = 30, 60, 170
+    return packed(folder, a__png=cv2.imencode(".png", picture)[1].tobytes())
+
+
+@pytest.mark.slow
+def test_the_models_of_the_worker_are_those_of_an_inspection(tmp_path: Path) -> None:
+    """The outline that the capture page shows is then the one that the job cuts along."""
+    with closing(Inspector(models=ModelFolder(tmp_path / "gone"))) as inspector:
+        found = inspector.inspect(photo_archive(tmp_path), scratch_in(tmp_path), None, no_tick)
+    assert found.outline
+    assert "without a learned model: the folder of learned models cannot be read" in found.warnings[-1]
+
+
+@pytest.mark.slow
+async def test_the_setting_names_the_models_of_a_worker(tmp_path: Path) -> None:
+    with process(tmp_path, EDGE_MODELS=tmp_path / "gone") as started:
+        async with grpc.aio.insecure_channel(started.address) as channel:
+            sent = upload(photo_archive(tmp_path).read_bytes())
+            found = await Client(channel).stub.Inspect(sent, wait_for_ready=True, timeout=PATIENCE_S)
+    assert "without a learned model" in found.warnings[-1]
+
+
 SCRIPTED = """
 import os, socket, sys
 from capture2vr.edge.jobs import inspection_work, reading_limits
 from capture2vr.process import fork_server
-def inspect(folder, box):
+def inspect(folder, box, models):
     {costly}
 inspection_work.inspect = inspect
 reading_limits._LEAST_BYTES, reading_limits._LEAST_SECONDS = 1 << 29, 2

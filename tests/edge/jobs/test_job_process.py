@@ -13,12 +13,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import psutil
 import pytest
 
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.jobs.job_process import JobProcess, JobProcesses, MadeBundle
 from capture2vr.edge.jobs.job_task import JobTask
+from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.worker.memory_watch import MemoryWatch
 from capture2vr.process.fork_client import ForkServer
 from tests.support import captures
@@ -144,6 +147,20 @@ def test_a_bundle_waits_until_it_is_published(tmp_path: Path) -> None:
         process.go_on(seconds=7)
         assert [step.seconds for step in steps] == [{"FITTING": 7.0}]
         assert list((tmp_path / "job_1").iterdir()) == []
+
+
+@pytest.mark.slow
+def test_the_models_of_the_worker_reach_its_jobs(tmp_path: Path) -> None:
+    picture = np.full((240, 320, 3), 215, np.uint8)
+    picture[60:180, 100:220] = 30, 60, 170
+    archive = tmp_path / "photo.zip"
+    with zipfile.ZipFile(archive, "w") as entries:
+        entries.writestr("one.png", cv2.imencode(".png", picture)[1].tobytes())
+    task = task_in(tmp_path, archive=archive)
+    task = replace(task, machine=replace(task.machine, models=ModelFolder(tmp_path / "gone")))
+    with closing(JobProcesses()) as started, started.running(task, ignore) as process:
+        made = next(step for step in process.steps() if isinstance(step, MadeBundle))
+        assert any("without a learned model" in warning for warning in made.bundle.manifest["warnings"])
 
 
 def test_a_cancelled_job_leaves_no_process_that_computes(tmp_path: Path) -> None:

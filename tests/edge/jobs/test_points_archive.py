@@ -24,6 +24,7 @@ from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.jobs.archived_views import MOST_VIEWS
 from capture2vr.edge.jobs.points_archive import MOST_POINTS, read_prepared, write_prepared
 from capture2vr.edge.jobs.points_cache import load_points, save_points
+from capture2vr.edge.models.nouns import UsedModel
 from capture2vr.edge.points.nouns import CutReport, Points, TextureView, UnseenSide
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.worker.capabilities import POINTS_VERSION
@@ -79,6 +80,8 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
         inferred=np.arange(count) >= count - 10,
         closed=True,
         offset=np.array([345_678.25, 5_432_100.5, 321.0]),
+        crs="EPSG:25832",
+        models=(UsedModel("isnet", "b6e8" * 16),),
     )
     return PreparedPoints(points, CaptureFacts("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
 
@@ -99,7 +102,7 @@ def anything(draw: st.DrawFn) -> PreparedPoints:
     )
     if draw(st.booleans()):
         points = replace(points, rgb=None, up=None, unseen=(), cut=None, up_source=None, inferred=None, closed=False)
-        points = replace(points, offset=None)
+        points = replace(points, offset=None, crs="")
     source = CaptureFacts(draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40)))
     return PreparedPoints(points, source, draw(st.dictionaries(st.just("POINT_CLOUD"), st.floats(0, 1e6))))
 
@@ -120,6 +123,8 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
             ]
         )
         and (
+            ours.crs,
+            ours.models,
             ours.metres_per_unit,
             ours.scale_confidence,
             ours.warnings,
@@ -130,6 +135,8 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
             ours.closed,
         )
         == (
+            theirs.crs,
+            theirs.models,
             theirs.metres_per_unit,
             theirs.scale_confidence,
             theirs.warnings,

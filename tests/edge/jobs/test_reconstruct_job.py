@@ -28,9 +28,9 @@ from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.preset import memory_bytes
 from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.storage.bundle import Bundle
-from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import DEFAULT_POLICY, PublishPolicy, publish
+from capture2vr.storage.catalogue.root import index_name
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio

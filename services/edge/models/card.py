@@ -1,0 +1,58 @@
+"""Table of the models that can be added: name, file, hash, licence, limits and shapes, read from models.toml."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+from pydantic import ConfigDict, TypeAdapter
+
+Shapes = dict[str, tuple[int, ...]]
+"""Tensors of a graph by name, with their shapes."""
+
+
+@dataclass(frozen=True, slots=True)
+class NpmPackage:
+    """A package of npm that a model's file is put together from.
+
+    resource  the model's entry in the package's list of chunks
+    notice    the model's entry in the package's notices of licences
+    """
+
+    package: str
+    version: str
+    resource: str
+    notice: str
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True, slots=True)
+class ModelCard:
+    """A model as models.toml describes it, where the fields are explained."""
+
+    name: str
+    title: str
+    file: str
+    sha256: str
+    bytes: int
+    licence: str
+    improves: str
+    source: str
+    most_bytes: int
+    most_s: float
+    npm: NpmPackage
+    inputs: Shapes
+    outputs: Shapes
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+
+@cache
+def model_cards() -> dict[str, ModelCard]:
+    """Return all models of the table by name."""
+    table = tomllib.loads((files("capture2vr.edge.models") / "models.toml").read_text(encoding="utf-8"))
+    cards = TypeAdapter(tuple[ModelCard, ...]).validate_python([{"name": name, **row} for name, row in table.items()])
+    return {card.name: card for card in cards}
