@@ -15,8 +15,10 @@ import httpx
 from capture2vr.errors import GatewayError
 from capture2vr.process.atomic_write import atomic_write
 from capture2vr.storage.bundle import sha256_of
-from capture2vr.storage.catalogue.faults import FILE_CHANGED, FILE_MISSING, CatalogueFault
-from capture2vr.storage.catalogue.reader import AssetFile
+from capture2vr.storage.catalogue.collection import Shard, read_shard
+from capture2vr.storage.catalogue.faults import FILE_CHANGED, FILE_MISSING, SHARD_CHANGED, SHARD_MISSING, CatalogueFault
+from capture2vr.storage.catalogue.reader import DOCUMENT_BYTES, AssetFile, TreeParts
+from capture2vr.storage.catalogue.tree import read_node
 
 _CHUNK_BYTES = 1 << 20
 _PART = ".part-"  # prefix of temporary files in the cache
@@ -55,6 +57,18 @@ class RemoteObjects:
                     yield block
             except (httpx.RemoteProtocolError, httpx.DecodingError) as error:
                 raise CatalogueFault(changed, name, f"the download broke off after {size:,} bytes: {error}") from None
+
+
+def remote_parts(objects: RemoteObjects, collection: str) -> TreeParts:
+    """Return how the parts of a collection are downloaded, each no longer than what lists it says."""
+
+    def read(part: Shard) -> bytes:
+        return objects.read(part.name, min(part.bytes, DOCUMENT_BYTES), absent=SHARD_MISSING, changed=SHARD_CHANGED)
+
+    return TreeParts(
+        rows=lambda shard: read_shard(read(shard), shard),
+        nodes=lambda depth, node: read_node(read(node), node, collection, depth),
+    )
 
 
 def fetch(objects: RemoteObjects, asset_file: AssetFile, cache: Path) -> str:

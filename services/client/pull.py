@@ -14,20 +14,18 @@ import httpx
 from capture2vr.client.answers import parse_answer, understood
 from capture2vr.client.earlier_results import MANIFEST, files_of_pull, names_of_both
 from capture2vr.client.names import check_collection, check_key
-from capture2vr.client.objects import RemoteObjects, fetch
+from capture2vr.client.objects import RemoteObjects, fetch, remote_parts
 from capture2vr.client.seen_version import SeenVersion, user_folder
 from capture2vr.client.share_link import SharedThing, open_link
 from capture2vr.client.trusted_keys import load_verification_keys
 from capture2vr.errors import BadInput, VerificationError
 from capture2vr.storage.bundle import sha256_of
-from capture2vr.storage.catalogue.collection import Row, Shard, read_index, read_shard
+from capture2vr.storage.catalogue.collection import Row
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
 from capture2vr.storage.catalogue.faults import (
     CATALOGUE_OLDER,
     MANIFEST_CHANGED,
     MANIFEST_MISSING,
-    SHARD_CHANGED,
-    SHARD_MISSING,
     CatalogueFault,
 )
 from capture2vr.storage.catalogue.proof import check_proof
@@ -38,6 +36,7 @@ from capture2vr.storage.catalogue.reader import (
     parse_manifest,
     retry_if_shard_missing,
 )
+from capture2vr.storage.catalogue.root import read_index
 from capture2vr.storage.catalogue.signing import PublicKey
 
 
@@ -176,10 +175,10 @@ def _first_collection(client: httpx.Client, key: str) -> str:
 
 
 def _find(source: _CollectionSource, key: str) -> _FoundAsset:
-    """Find the asset's row in the collection's newest index. Raises CatalogueFault, also for an index older than one
+    """Find the asset's row in the collection's newest root. Raises CatalogueFault, also for a root older than one
     seen before.
     """
-    answer = source.client.get(f"/v1/collections/{source.collection}", params=source.query)
+    answer = source.client.get(f"/v1/collections/{source.collection}", params={**source.query, "form": "tree"})
     objects = RemoteObjects(source.client, str(parse_answer(answer)["base"]))
     last_seen = SeenVersion(source.gateway, "@".join(filter(None, (source.collection, source.tenant))))
     try:
@@ -189,7 +188,7 @@ def _find(source: _CollectionSource, key: str) -> _FoundAsset:
         raise _add_hint(fault, last_seen) from None
     if source.verification_keys:  # an unverified version must not be remembered: it may be any number
         last_seen.remember(index.version)
-    found = find_row(index, key, lambda shard: _rows(objects, shard))
+    found = find_row(index, key, remote_parts(objects, source.collection))
     if found is None:
         raise BadInput(f"there is no asset {key} in collection {source.collection}; `capture2vr ls` lists its assets")
     if found[1].removed:
@@ -228,11 +227,6 @@ def _find_entry(source: _CollectionSource, key: str) -> _FoundAsset:
         row = Row(key, str(entry.get("label") or ""), (), version, str(entry["state"]), 0, str(manifest["sha256"]), "")
         base = str(manifest["url"]).removesuffix(row.manifest_name)
     return _FoundAsset(RemoteObjects(source.client, base), row, f"asset {key} version {version}")
-
-
-def _rows(objects: RemoteObjects, shard: Shard) -> tuple[Row, ...]:
-    limit = min(shard.bytes, DOCUMENT_BYTES)
-    return read_shard(objects.read(shard.name, limit, absent=SHARD_MISSING, changed=SHARD_CHANGED), shard)
 
 
 def _manifest(found: _FoundAsset) -> tuple[bytes, list[AssetFile]]:

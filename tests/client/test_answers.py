@@ -162,7 +162,7 @@ def test_a_command_says_in_a_line_what_was_wrong(kind: str, command: str) -> Non
 def test_the_field_that_is_missing_is_named() -> None:
     with answering(b"{}") as gateway:
         result = CliRunner().invoke(app, ["pull", "leaf", "-o", "x", "--gateway", gateway])
-    assert "/v1/collections/default answered without 'base'" in str(result.exception)
+    assert "/v1/collections/default?form=tree answered without 'base'" in str(result.exception)
 
 
 @pytest.mark.parametrize("kind", ODD)

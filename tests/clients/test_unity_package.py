@@ -138,7 +138,7 @@ def test_the_files_that_it_asks_for_are_those_that_are_published() -> None:
     text = _sources("Runtime")["Catalogue.cs"]
     asked = {f"collections/default/unity/{name}" for name in re.findall(r'return "(catalog[^"]*)"', text)}
     assert asked == {names.catalogue for names in catalogue_names("default")}
-    assert '$"{BaseUrl}/collections/{Name}/unity/{file}"' in _sources("Runtime")["OpenCollection.cs"]
+    assert '$"{baseUrl}/collections/{collection}/unity"' in _sources("Runtime")["UnityCatalogue.cs"]
 
 
 def test_the_linker_keeps_what_only_catalogues_name() -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from capture2vr.storage.bundle import sha256_of
+from capture2vr.storage.catalogue.change_entry import remove
 from capture2vr.storage.catalogue.publish import publish
-from capture2vr.storage.catalogue.removal import remove
 from capture2vr.storage.catalogue.verify import fetch_from, verify
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.memory import MemoryStore

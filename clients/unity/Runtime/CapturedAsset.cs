@@ -240,16 +240,15 @@ namespace Capture2vr
             try
             {
                 var collection = Collection;
-                var location = collection.Locate(key);
-                var version = AssetLocation.Version(location);
-                if (version == atHand)
+                var location = await collection.LocateAsync(key);
+                if (turn != _turn) return;
+                if (AssetLocation.Version(location) == atHand)
                 {
                     _pause = followSeconds;
                     return;
                 }
-                var files = collection.Files(location);
-                await collection.Check(location, files);
-                if (turn == _turn) await LoadAsync(turn, version, files);
+                location = await collection.CheckAsync(location);
+                if (turn == _turn) await LoadAsync(turn, AssetLocation.Version(location), collection.Files(location));
             }
             catch (CaptureFault fault) when (fault.Code == CaptureFault.AssetUnknown || fault.Code == CaptureFault.AssetRemoved)
             {

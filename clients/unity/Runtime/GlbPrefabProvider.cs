@@ -33,12 +33,10 @@ namespace Capture2vr
             try
             {
                 handle.SetWaitForCompletionCallback(Waiting.Refuse);
-                var location = handle.Location;
-                var collection = Catalogue.Of(location);
-                var files = collection.Files(location);
-                await collection.Check(location, files);
+                var collection = Catalogue.Of(handle.Location);
+                var location = await collection.CheckAsync(handle.Location);
                 prefab = new LodRoot(location.PrimaryKey, AssetLocation.Version(location), Shelf());
-                await Fill(prefab, files);
+                await Fill(prefab, collection.Files(location));
                 _made[prefab.Root] = prefab;
                 handle.Complete(prefab.Root, true, null);
             }

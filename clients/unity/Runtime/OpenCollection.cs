@@ -4,10 +4,6 @@ using System.IO;
 using System.Linq;
 using System.Text;
 using System.Threading.Tasks;
-using UnityEngine;
-using UnityEngine.AddressableAssets;
-using UnityEngine.AddressableAssets.ResourceLocators;
-using UnityEngine.ResourceManagement.AsyncOperations;
 using UnityEngine.ResourceManagement.ResourceLocations;
 
 namespace Capture2vr
@@ -21,10 +17,7 @@ namespace Capture2vr
         private readonly string _folder;
         private readonly Versions _versions;
         private readonly List<byte[]> _keys = new List<byte[]>();
-        private CollectionReader _reader;
-        private IResourceLocator _locator;
-        private IResourceLocator _before; // of the last update: who has one of its locations may still load it
-        private string _hash;
+        private readonly AssetFinder _finder;
         private Task _work; // opening or updating
 
         internal OpenCollection(AccessHeaders access, string name)
@@ -36,6 +29,8 @@ namespace Capture2vr
             _folder = Path.Combine(Catalogue.Folder, $"collection-{identity}");
             Directory.CreateDirectory(_folder);
             _versions = new Versions(Path.Combine(_folder, "versions.txt"));
+            var signed = new SignedLocator($"{BaseUrl}/{CollectionRoot.ObjectName(name)}");
+            _finder = new AssetFinder(name, new UnityCatalogue(BaseUrl, name, _folder), signed);
         }
 
         public string Name { get; }
@@ -43,11 +38,27 @@ namespace Capture2vr
         /// <summary>Below which address its objects are.</summary>
         public string BaseUrl => _access.BaseUrl;
 
-        /// <summary>Keys of its assets, sorted.</summary>
-        public IReadOnlyList<string> Keys => AssetsAt(_locator.Keys.OfType<string>().Where(AssetLocation.IsAssets));
+        /// <summary>Keys of its assets, sorted. Throws CaptureFault COLLECTION_LARGE where these are too many: KeysAsync.</summary>
+        public IReadOnlyList<string> Keys => _finder.Keys;
 
-        /// <summary>Keys of the assets that bear a label, sorted.</summary>
-        public IReadOnlyList<string> WithLabel(string label) => AssetsAt(new[] { label });
+        /// <summary>Keys of the assets that bear a label, sorted. Throws CaptureFault COLLECTION_LARGE: WithLabelAsync.</summary>
+        public IReadOnlyList<string> WithLabel(string label) => _finder.WithLabel(label);
+
+        /// <summary>Keys of its assets, however many, sorted. Of a large collection it reads the whole catalogue. Throws CaptureFault.</summary>
+        public Task<IReadOnlyList<string>> KeysAsync() => _finder.IsListed ? Task.FromResult(Keys) : KeysOf(row => true);
+
+        /// <summary>Keys of the assets that bear a label, found as KeysAsync finds them.</summary>
+        public Task<IReadOnlyList<string>> WithLabelAsync(string label)
+        {
+            return _finder.IsListed ? Task.FromResult(WithLabel(label)) : KeysOf(row => row.Labels.Contains(label));
+        }
+
+        /// <summary>
+        /// Find assets, so that Addressables can load captures/&lt;key&gt;. CapturedAsset and DownloadAsync do so themselves. What
+        /// is known is not asked for again: UpdateAsync looks for newer versions. Several keys in one call share the way. Throws
+        /// CaptureFault ASSET_UNKNOWN, ASSET_REMOVED and those of network and catalogue.
+        /// </summary>
+        public Task EnsureAsync(params string[] keys) => _finder.EnsureAsync(keys);
 
         /// <summary>
         /// Names, labels and pictures of its assets, for people to choose from: asked for anew each time, and without a network
@@ -55,7 +66,7 @@ namespace Capture2vr
         /// </summary>
         public Task<IReadOnlyList<AssetRow>> RowsAsync()
         {
-            var reader = _reader;
+            var reader = _finder.Reader;
             return Background.Run(() => reader.Rows());
         }
 
@@ -65,14 +76,14 @@ namespace Capture2vr
         /// </summary>
         public Task<byte[]> PreviewAsync(AssetRow row)
         {
-            var reader = _reader;
+            var reader = _finder.Reader;
             return Background.Run(() => reader.Preview(row));
         }
 
         /// <summary>Take the newer catalogue if there is one. Without a network, what there is stays.</summary>
         public Task UpdateAsync()
         {
-            if (_work == null || _work.IsCompleted) _work = Update();
+            if (_work == null || _work.IsCompleted) _work = _finder.UpdateAsync();
             return _work;
         }
 
@@ -83,9 +94,7 @@ namespace Capture2vr
         /// <param name="progress">is told the share that has come, from 0 to 1, on the thread of the caller</param>
         public async Task DownloadAsync(string key, IProgress<float> progress = null)
         {
-            var asset = Locate(key);
-            var files = Files(asset);
-            await CheckSignature(asset, files);
+            var files = Files(await SignedAsync(await LocateAsync(key)));
             var downloads = files.Select(each => Catalogue.Cache.Load(each.Url, each.Sha256, each.Size)).ToList();
             var all = Task.WhenAll(downloads.Select(each => each.Task));
             try
@@ -103,50 +112,51 @@ namespace Capture2vr
             }
         }
 
-        /// <summary>Whether all files of an asset's current version are on the device. Throws CaptureFault ASSET_UNKNOWN.</summary>
+        /// <summary>
+        /// Whether all files of an asset's current version are on the device. Of a large collection EnsureAsync comes first.
+        /// Throws CaptureFault ASSET_UNKNOWN.
+        /// </summary>
         public bool IsCached(string key) => RemainingBytes(key) == 0;
 
-        /// <summary>Bytes of an asset that are not on the device. Throws CaptureFault ASSET_UNKNOWN.</summary>
+        /// <summary>Bytes of an asset that are not on the device; otherwise as IsCached.</summary>
         public long RemainingBytes(string key)
         {
-            return Files(Locate(key)).Where(each => !Catalogue.Cache.Has(each.Sha256, each.Size)).Sum(each => each.Size);
+            return Files(_finder.Located(key)).Where(each => !Catalogue.Cache.Has(each.Sha256, each.Size)).Sum(each => each.Size);
         }
 
         /// <summary>
-        /// Remove an asset's files from the device, and return how many bytes that freed; what is shown stays. Throws
-        /// CaptureFault ASSET_UNKNOWN.
+        /// Remove an asset's files from the device, and return how many bytes that freed; what is shown stays. Otherwise as
+        /// IsCached.
         /// </summary>
         public long Clear(string key)
         {
-            return Files(Locate(key)).Where(each => Catalogue.Cache.Remove(each.Sha256)).Sum(each => each.Size);
+            return Files(_finder.Located(key)).Where(each => Catalogue.Cache.Remove(each.Sha256)).Sum(each => each.Size);
         }
 
         /// <summary>Ask for a signature by one of these public keys too, of 32 bytes each. No key is ever dropped.</summary>
         internal void Believe(IEnumerable<byte[]> keys)
         {
-            _keys.AddRange(keys.Where(key => !_keys.Any(known => known.SequenceEqual(key))));
-            _reader = new CollectionReader(BaseUrl, Name, _keys.ToList(), _folder, Catalogue.Cache, _versions, Catalogue.FetchAsync);
+            var more = keys.Where(key => !_keys.Any(known => known.SequenceEqual(key))).ToList();
+            if (more.Count == 0 && _finder.Reader != null) return;
+            _keys.AddRange(more);
+            _finder.Reader = new CollectionReader(BaseUrl, Name, _keys.ToList(), _folder, Catalogue.Cache, _versions, Catalogue.FetchAsync);
         }
 
         internal async Task OpenAsync()
         {
             while (_work != null && !_work.IsCompleted) await _work;
-            _work = _locator == null ? Load() : Update();
+            _work = _finder.IsOpen ? _finder.UpdateAsync() : _finder.OpenAsync();
             await _work;
         }
 
-        /// <summary>Where an asset is. Throws CaptureFault ASSET_UNKNOWN.</summary>
-        internal IResourceLocation Locate(string key)
+        /// <summary>Where an asset is, which is looked up where that is not known yet. Throws CaptureFault.</summary>
+        internal async Task<IResourceLocation> LocateAsync(string key)
         {
-            return AssetOf(_locator, AssetLocation.Prefix + key).FirstOrDefault()
-                ?? throw new CaptureFault(CaptureFault.AssetUnknown, $"collection {Name} has no asset {key}");
+            await EnsureAsync(key);
+            return _finder.Located(key);
         }
 
-        internal bool Has(IResourceLocation location)
-        {
-            return new[] { _locator, _before }.Any(locator => locator != null
-                && locator.Locate(location.PrimaryKey, null, out var found) && found.Any(each => IsSame(each, location)));
-        }
+        internal bool Has(IResourceLocation location) => _finder.Has(location);
 
         /// <summary>The files of an asset, finest first.</summary>
         internal IReadOnlyList<GlbFile> Files(IResourceLocation asset)
@@ -154,115 +164,26 @@ namespace Capture2vr
             return asset.Dependencies.Select(each => GlbFile.Of(each, this)).OrderBy(each => each.Level).ToList();
         }
 
-        /// <summary>Signature before version: what nobody signed must not count as seen. Throws CaptureFault.</summary>
-        internal async Task Check(IResourceLocation asset, IReadOnlyList<GlbFile> files)
-        {
-            await CheckSignature(asset, files);
-            _versions.Check(asset.PrimaryKey, AssetLocation.Version(asset));
-        }
-
-        private Task CheckSignature(IResourceLocation asset, IReadOnlyList<GlbFile> files)
-        {
-            var key = AssetLocation.Key(asset);
-            var version = AssetLocation.Version(asset);
-            var hashes = files.Select(each => each.Sha256).ToList();
-            var reader = _reader;
-            return Background.Run(() => reader.Check(key, version, hashes));
-        }
-
-        private async Task Load()
-        {
-            // From 4.0 on, Addressables has no reader of catalogues before it is initialised. Whether the app has catalogues
-            // of its own to find then is not our affair.
-            var starting = Addressables.InitializeAsync(false);
-            await Completion.Of(starting);
-            Addressables.Release(starting);
-            string hash = null;
-            CaptureFault unreachable = null;
-            try
-            {
-                hash = await Hash();
-            }
-            catch (CaptureFault fault) when (fault.Code == CaptureFault.Unreachable)
-            {
-                unreachable = fault; // the device may have the catalogue
-            }
-            var loading = Addressables.LoadContentCatalogAsync(Address(Catalogue.FileName), false);
-            await Completion.Of(loading);
-            var cause = loading.OperationException;
-            if (loading.Status == AsyncOperationStatus.Succeeded) _locator = loading.Result;
-            Addressables.Release(loading);
-            if (_locator == null) throw unreachable ?? Unreadable(cause);
-            _hash = hash;
-            Storage.Flush(); // Addressables keeps catalogues, too
-        }
-
-        /// <summary>Only this collection: the app's own catalogues are its own affair.</summary>
-        private async Task Update()
-        {
-            string hash;
-            try
-            {
-                hash = await Hash();
-            }
-            catch (CaptureFault)
-            {
-                return; // the next look will tell, and what there is stays
-            }
-            if (hash == _hash) return;
-            var updating = Addressables.UpdateCatalogs(new[] { _locator.LocatorId }, false);
-            await Completion.Of(updating);
-            var found = updating.Status == AsyncOperationStatus.Succeeded
-                ? updating.Result.FirstOrDefault(each => each.LocatorId == _locator.LocatorId) : null;
-            Addressables.Release(updating);
-            if (found == null) return;
-            _before = _locator;
-            _locator = found;
-            _hash = hash;
-            Storage.Flush();
-        }
-
         /// <summary>
-        /// What changes with the catalogue. Asked for here, because Addressables tells a refusal from a lost connection as
-        /// little as a missing collection from a damaged one.
+        /// What to show for a location: the same, or the newer version of the signed catalogue. Signature before version: what
+        /// nobody signed must not count as seen. Throws CaptureFault.
         /// </summary>
-        private async Task<string> Hash()
+        internal async Task<IResourceLocation> CheckAsync(IResourceLocation asset)
         {
-            using (var memory = new MemoryStream())
-            {
-                await Catalogue.FetchAsync(Address(Path.ChangeExtension(Catalogue.FileName, ".hash")), memory);
-                return Encoding.UTF8.GetString(memory.ToArray());
-            }
+            var signed = await SignedAsync(asset);
+            _versions.Check(signed.PrimaryKey, AssetLocation.Version(signed));
+            return signed;
         }
 
-        private string Address(string file) => $"{BaseUrl}/collections/{Name}/unity/{file}";
-
-        private CaptureFault Unreadable(Exception cause)
+        private Task<IResourceLocation> SignedAsync(IResourceLocation asset)
         {
-            return new CaptureFault(CaptureFault.CatalogueUnreadable,
-                $"the catalogue of collection {Name} is there, and Addressables cannot read it: {cause?.Message}",
-                $"Is {Catalogue.FileName} the form that the installed Addressables reads?", cause);
+            return _finder.SignedAsync(asset, Files(asset).Select(each => each.Sha256).ToList());
         }
 
-        private IReadOnlyList<string> AssetsAt(IEnumerable<string> keys)
+        private async Task<IReadOnlyList<string>> KeysOf(Func<AssetRow, bool> wanted)
         {
-            var found = keys.SelectMany(each => AssetOf(_locator, each)).Select(AssetLocation.Key);
-            return found.Distinct().OrderBy(each => each, StringComparer.Ordinal).ToList();
-        }
-
-        private static IEnumerable<IResourceLocation> AssetOf(IResourceLocator locator, string key)
-        {
-            return locator.Locate(key, typeof(GameObject), out var found) ? found : Enumerable.Empty<IResourceLocation>();
-        }
-
-        private static bool IsSame(IResourceLocation a, IResourceLocation b)
-        {
-            return a.InternalId == b.InternalId && Ids(a).SequenceEqual(Ids(b));
-        }
-
-        private static IEnumerable<string> Ids(IResourceLocation location)
-        {
-            return location.Dependencies == null ? Enumerable.Empty<string>() : location.Dependencies.Select(each => each.InternalId);
+            var reader = _finder.Reader;
+            return (await Background.Run(() => reader.Rows(wanted))).Select(each => each.Key).ToList();
         }
 
         private static float Share(IReadOnlyList<Download> downloads)

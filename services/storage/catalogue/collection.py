@@ -1,40 +1,26 @@
-"""File format of a collection: a signed index that lists shards, and shards with one row per asset.
+"""File format of a collection's rows: shards with one row per asset, and the records that list them.
 
-    collections/<name>/index.json            {"signed": "<JSON text>", "signatures": [{"key", "ed25519"}]}, mutable
     collections/<name>/shard.<sha256>.json   {"columns": [...], "words": [...], "rows": [[...], ...]}, immutable
 
-The signed text lists the sha256 of every shard, a row the sha256 of its manifest, a manifest the sha256 of every file:
-so one signature covers them all. Its `version` grows by one with every change, so that clients notice an older index.
+A row lists the sha256 of its manifest, and a manifest the sha256 of every file. `root.py` tells what lists shards.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 from capture2vr.storage.bundle import content_name, sha256_hex
 from capture2vr.storage.catalogue.compare_and_swap import canonical_json
 from capture2vr.storage.catalogue.entry import Entry, check_collection, check_key
-from capture2vr.storage.catalogue.faults import (
-    CATALOGUE_OLDER,
-    CATALOGUE_OTHER,
-    CATALOGUE_TRUNCATED,
-    SHARD_CHANGED,
-    SHARD_MISSING,
-    CatalogueFault,
-)
-from capture2vr.storage.catalogue.signing import PublicKey, Signature, Signer, check_signatures
-from capture2vr.storage.catalogue.visibility import Visibility, parse_visibility
+from capture2vr.storage.catalogue.faults import SHARD_CHANGED, SHARD_MISSING, CatalogueFault
 from capture2vr.storage.store import Store
 
 SCHEMA = 1
-SHARD_ROWS = 1000  # rows of one shard at most: about 140 KB, which is what one update rewrites
-RETIRED_SHARDS = 32  # replaced shards that stay on the store, for clients that read an older index a moment ago
 REMOVED = "removed"
 _COLUMNS = ("key", "label", "labels", "version", "state", "updated", "manifest", "preview", "bytes", "grade")
 _PREVIEW = "preview.png"
@@ -80,7 +66,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """The index's record of a shard: `count` rows with keys from `first` to `last`."""
+    """The record of a shard in what lists it, and likewise of a node: `count` rows with keys from `first` to `last`."""
 
     name: str
     sha256: str
@@ -90,34 +76,14 @@ class Shard:
     last: str
 
 
-@dataclass(frozen=True, slots=True)
-class Index:
-    """The signed content of a collection's index.
-
-    retired     sha256 of shards that the last few versions listed, oldest first
-    visibility  who may read the collection besides its tenant; None: the gateway's default
-    """
-
-    collection: str
-    version: int
-    updated: str
-    shards: tuple[Shard, ...]
-    retired: tuple[str, ...] = ()
-    visibility: Visibility | None = None
-
-    def shard_number(self, key: str) -> int:
-        """Return the index of the shard that has the row of a key, or into which it would be inserted."""
-        return max(0, bisect_right([shard.first for shard in self.shards], key) - 1)
-
-
-def index_name(collection: str) -> str:
-    """Return the object name of a collection's index. Raises ValueError for an invalid collection name."""
-    return f"collections/{check_collection(collection)}/index.json"
-
-
 def shard_name(collection: str, sha256: str) -> str:
     """Return the object name of a shard."""
     return f"collections/{check_collection(collection)}/{content_name('shard.json', sha256)}"
+
+
+def node_name(collection: str, sha256: str) -> str:
+    """Return the object name of a node."""
+    return f"collections/{check_collection(collection)}/{content_name('node.json', sha256)}"
 
 
 def row_of(entry: Entry) -> Row:
@@ -139,77 +105,33 @@ def row_of(entry: Entry) -> Row:
     )
 
 
-def sign_index(index: Index, signers: Sequence[Signer]) -> bytes:
-    """Return the bytes of the index object: the index as JSON text, and the signature of every signer."""
-    document = {"schema": SCHEMA, **asdict(index)}
-    text = canonical_json(document)
-    return canonical_json({"signed": text.decode(), "signatures": [signer.sign(text) for signer in signers]})
-
-
-def parse_envelope(data: bytes, collection: str) -> tuple[str, list[Signature]]:
-    """Return the signed text and the signatures of an index object, not verified yet.
-
-    Raises CatalogueFault CATALOGUE_TRUNCATED.
-    """
-    try:
-        envelope = json.loads(data)
-        signatures = [{"key": str(each["key"]), "ed25519": str(each["ed25519"])} for each in envelope["signatures"]]
-        text = envelope["signed"]
-    except (ValueError, KeyError, TypeError):
-        text = None
-    if not isinstance(text, str):
-        message = f"its {len(data):,} bytes are not a complete catalogue"
-        raise CatalogueFault(CATALOGUE_TRUNCATED, index_name(collection), message)
-    return text, list(signatures)
-
-
-def read_index(
-    data: bytes, collection: str, verification_keys: tuple[PublicKey, ...] = (), *, at_least: int = 0
-) -> Index:
-    """Verify the signature of an index object and parse it. With no verification keys the signature is not checked.
-
-    at_least  the highest version seen before: an older one is refused, even with a valid signature
-    Raises CatalogueFault SIGNATURE_*, KEY_UNKNOWN or CATALOGUE_*.
-    """
-    name = index_name(collection)
-    text, signatures = parse_envelope(data, collection)
-    check_signatures(name, text.encode(), signatures, verification_keys)
-    index = _parse_index(text, name)
-    if index.collection != collection:
-        raise CatalogueFault(CATALOGUE_OTHER, name, f"it is the catalogue of another collection, {index.collection}")
-    if index.version < at_least:
-        raise CatalogueFault(
-            CATALOGUE_OLDER,
-            name,
-            f"version {index.version} is older than {at_least}, which was seen before",
-            hint="somebody restored an older catalogue, or a cache is stale",
-        )
-    return index
-
-
-def shard_data(rows: Sequence[Row], version: int) -> bytes:
+def shard_data(rows: Sequence[Row], commit: str) -> bytes:
     """Return the bytes of a shard object with these rows, sorted by key.
 
-    version  of the index that lists the shard first. It makes the bytes unique: no later index can list a retired
-             shard again, so retired shards can be deleted safely.
+    commit  of the root that lists the shard first, which makes the bytes unique
     """
     words = list(dict.fromkeys(word for row in rows for word in (row.state, row.grade, *row.labels)))
     indices = {word: number for number, word in enumerate(words)}
     cells = [_cells(row, indices) for row in rows]
-    return canonical_json({"schema": SCHEMA, "version": version, "columns": _COLUMNS, "words": words, "rows": cells})
+    return canonical_json({"schema": SCHEMA, "commit": commit, "columns": _COLUMNS, "words": words, "rows": cells})
 
 
 def describe_shard(collection: str, rows: Sequence[Row], data: bytes) -> Shard:
-    """Return the index's record of a shard with these rows and these bytes."""
+    """Return the record of a shard with these rows and these bytes."""
     sha256 = sha256_hex(data)
     return Shard(shard_name(collection, sha256), sha256, len(data), len(rows), rows[0].key, rows[-1].key)
 
 
+def check_part(data: bytes, part: Shard) -> None:
+    """Check the hash of a shard's or node's bytes. Raises CatalogueFault SHARD_CHANGED."""
+    if sha256_hex(data) != part.sha256:
+        message = f"its {len(data):,} bytes do not have the hash that the catalogue lists"
+        raise CatalogueFault(SHARD_CHANGED, part.name, message, hint=f"the catalogue says {part.bytes:,} bytes")
+
+
 def read_shard(data: bytes, shard: Shard) -> tuple[Row, ...]:
-    """Check a shard's hash against the index and parse its rows. Raises CatalogueFault SHARD_CHANGED."""
-    if sha256_hex(data) != shard.sha256:
-        message = f"its {len(data):,} bytes do not have the hash that the index lists"
-        raise CatalogueFault(SHARD_CHANGED, shard.name, message, hint=f"the index says {shard.bytes:,} bytes")
+    """Check a shard's hash against the record of it and parse its rows. Raises CatalogueFault SHARD_CHANGED."""
+    check_part(data, shard)
     try:
         document = json.loads(data)
         columns, words = document["columns"], document["words"]
@@ -226,28 +148,6 @@ def load_shard(store: Store, shard: Shard) -> tuple[Row, ...]:
         raise CatalogueFault(SHARD_MISSING, shard.name, "it is not on the store") from None
 
 
-def _parse_index(text: str, name: str) -> Index:
-    try:
-        document = json.loads(text)
-        return Index(
-            collection=str(document["collection"]),
-            version=int(document["version"]),
-            updated=str(document["updated"]),
-            shards=tuple(_parse_shard(document["collection"], each) for each in document["shards"]),
-            retired=tuple(map(str, document["retired"])),
-            visibility=parse_visibility(document.get("visibility")),
-        )
-    except (ValueError, KeyError, TypeError) as error:
-        raise CatalogueFault(CATALOGUE_TRUNCATED, name, f"the signed text is not a catalogue: {error}") from None
-
-
-def _parse_shard(collection: str, record: Mapping[str, Any]) -> Shard:
-    """Parse the index's record of a shard. Its name is computed from the hash; the one in the record is ignored."""
-    sha256 = str(record["sha256"])
-    name = shard_name(collection, sha256)
-    return Shard(name, sha256, int(record["bytes"]), int(record["count"]), str(record["first"]), str(record["last"]))
-
-
 def _cells(row: Row, indices: Mapping[str, int]) -> list[Any]:
     """Encode a row compactly, in the order of `_COLUMNS`, because a client downloads all of them.
 
@@ -255,7 +155,7 @@ def _cells(row: Row, indices: Mapping[str, int]) -> list[Any]:
     """
     labels = [indices[label] for label in row.labels]
     facts = (row.key, row.label, labels, row.version, indices[row.state], row.updated)
-    return [*facts, _to_base64(row.manifest), _to_base64(row.preview), row.bytes, indices[row.grade]]
+    return [*facts, to_base64(row.manifest), to_base64(row.preview), row.bytes, indices[row.grade]]
 
 
 def _parse_row(cells: Mapping[str, Any], words: Sequence[str]) -> Row:
@@ -266,16 +166,18 @@ def _parse_row(cells: Mapping[str, Any], words: Sequence[str]) -> Row:
         version=cells["version"],
         state=words[cells["state"]],
         updated=cells["updated"],
-        manifest=_from_base64(cells["manifest"]),
-        preview=_from_base64(cells["preview"]),
+        manifest=from_base64(cells["manifest"]),
+        preview=from_base64(cells["preview"]),
         bytes=cells.get("bytes", 0),
         grade=words[cells["grade"]] if "grade" in cells else "",
     )
 
 
-def _to_base64(sha256: str) -> str:
+def to_base64(sha256: str) -> str:
+    """Return a sha256 in hex as base64url without padding: 43 letters; "" of none."""
     return base64.urlsafe_b64encode(bytes.fromhex(sha256)).decode().rstrip("=")
 
 
-def _from_base64(encoded: str) -> str:
+def from_base64(encoded: str) -> str:
+    """Return the sha256 as hex of its 43 letters; "" of none."""
     return base64.urlsafe_b64decode(encoded + "=" * (-len(encoded) % 4)).hex()

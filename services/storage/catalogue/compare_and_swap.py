@@ -30,6 +30,14 @@ def read_mutable(store: Store, name: str) -> tuple[bytes | None, str | None]:
         return None, None
 
 
+def etag_of(store: Store, name: str) -> str | None:
+    """Return the etag of an object; None where it does not exist."""
+    try:
+        return store.head(name).etag
+    except FileNotFoundError:
+        return None
+
+
 def put_mutable(store: Store, name: str, data: bytes, etag: str | None) -> None:
     """Replace a document if its etag is still `etag`; create it if `etag` is None. Raises ConditionFailed."""
     store.put(

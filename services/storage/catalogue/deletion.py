@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from capture2vr.storage.catalogue.collection import index_name
+from capture2vr.storage.catalogue.change_entry import remove
 from capture2vr.storage.catalogue.entry import alias_name, check_key, entry_name
-from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.root import index_name, root_name
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.catalogue.update import empty, remove_row
 from capture2vr.storage.store import Head, Store, list_all
 from capture2vr.storage.tenant_store import FOLDER
 
 _COLLECTIONS = "collections/"
+_ROOTS = ("/root.json", "/index.json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +43,10 @@ def delete_asset(store: Store, key: str, keys: Keys = NO_KEYS) -> list[DeletedOb
 def delete_everything(store: Store, keys: Keys = NO_KEYS) -> tuple[list[DeletedObject], list[str]]:
     """Delete all objects of a tenant's store; return those that went, and the names of those that stay.
 
-    What stays are the indexes of its collections without a row: a client that has seen one would go on with its copy if
+    What stays are the roots of its collections without a row: a client that has seen one would go on with its copy if
     there were none. Idempotent. Nothing may publish meanwhile. Raises OSError (CatalogueFault too).
     """
-    indexes = {index_name(collection) for collection in _collections(store)}
+    indexes = {name(collection) for collection in _collections(store) for name in (root_name, index_name)}
     for collection in _collections(store):
         empty(store, collection, keys)
     others = (head for head in list_all(store, "") if head.name not in indexes and not head.name.startswith(FOLDER))
@@ -70,6 +71,6 @@ def _heads(store: Store, *names: str) -> Iterator[Head]:
 
 
 def _collections(store: Store) -> list[str]:
-    """Return the names of the collections that have an index."""
+    """Return the names of the collections that have a root, or an index of an earlier release."""
     names = (head.name for head in list_all(store, _COLLECTIONS))
-    return sorted({name.split("/")[1] for name in names if name.endswith("/index.json") and name.count("/") == 2})
+    return sorted({name.split("/")[1] for name in names if name.endswith(_ROOTS) and name.count("/") == 2})

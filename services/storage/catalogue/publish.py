@@ -1,8 +1,8 @@
 """publish(): write a bundle to the store as the new version of an asset, so that readers always find a complete asset.
 
-Order: files, manifest, catalogue entry, alias, the collection's shard, its index, its Unity catalogues. Each object
-refers only to objects written before it. So a crash between two steps leaves unreferenced files at worst, and the next
-run completes the work.
+Order: files, manifest, catalogue entry, alias, the collection's shard, nodes and root, its Unity catalogues. Each
+object refers only to objects written before it. So a crash between two steps leaves unreferenced files at worst, and
+the next run completes the work.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.process.at_once import at_once
 from capture2vr.sentences.documents import with_codes
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, Json
@@ -31,7 +33,6 @@ from capture2vr.storage.catalogue.next_entry import HELD_LEVEL, SCHEMA, level_of
 from capture2vr.storage.catalogue.proof import sign_proof
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.catalogue.stored_file import StoredFile, put_content
-from capture2vr.storage.catalogue.unity_update import update_unity_catalogues
 from capture2vr.storage.catalogue.update import update_collections
 from capture2vr.storage.catalogue.visibility import Visibility
 from capture2vr.storage.store import Store
@@ -165,13 +166,12 @@ def publish(
     if existing is not None and existing["fence"] >= fence and is_done:
         asset = _published_asset(key, existing)
     else:
-        files = [_put_file(store, key, bundle, file, policy.proceed) for file in sorted(bundle.files)]
+        files = at_once([partial(_put_file, store, key, bundle, file, policy.proceed) for file in sorted(bundle.files)])
         manifest = _put_manifest(store, key, bundle, files)
         policy.proceed()
         asset = _add_version(store, key, bundle, files, manifest, request)
     move_alias(store, asset)
     update_collections(store, key, policy.keys)
-    update_unity_catalogues(store, key)
     return asset
 
 

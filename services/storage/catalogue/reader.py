@@ -1,4 +1,4 @@
-"""Read a collection while others write it: find an asset's row, parse its manifest, retry if a shard was replaced."""
+"""Read a collection while others write it: find an asset's row, parse its manifest, retry if a part was replaced."""
 
 from __future__ import annotations
 
@@ -6,28 +6,29 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TypeVar
 
 from capture2vr.storage.bundle import hash_in_name, sha256_hex
-from capture2vr.storage.catalogue.collection import Index, Row, Shard, load_shard
+from capture2vr.storage.catalogue.collection import Row, Shard, load_shard
 from capture2vr.storage.catalogue.faults import MANIFEST_CHANGED, SHARD_MISSING, CatalogueFault
+from capture2vr.storage.catalogue.root import Index, index_name, read_index, root_name
+from capture2vr.storage.catalogue.signing import PublicKey
+from capture2vr.storage.catalogue.tree import LoadNode, load_node, shard_with
 from capture2vr.storage.store import LAST, Store
 from capture2vr.storage.tenant_store import store_of_tenant
 
 LoadRows = Callable[[Shard], Iterable[Row]]
 """Reads the rows of a shard."""
-LoadTenantRows = Callable[[str, Shard], Iterable[Row]]
-"""Reads the rows of a tenant's shard."""
 
 _T = TypeVar("_T")
 
 DOCUMENT_BYTES = 16 << 20
 """Limit when reading a shard or manifest from an untrusted server; real ones are smaller."""
 
-_CACHED_SHARDS = 64  # parsed shards in memory, 0.7 MB each at most: every search reads all shards of its collection
+_CACHED = 2000  # parsed shards in memory, and as many nodes, of about 20 KB each
 _FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")  # a safe file name: `pull` writes it into the user's folder
-_TRIES = 3  # a shard is deleted after 32 newer ones; the index of that moment lists another
+_TRIES = 3  # a part is deleted minutes after it was replaced; the root of that moment lists another
 _PREFIX = "collections/"
 
 
@@ -85,24 +86,64 @@ def _asset_file(file: str, name: str, sha256: str, size: int) -> AssetFile:
     return AssetFile(file, str(name), sha256.lower(), int(size))
 
 
-def tenant_rows(store: Store) -> LoadTenantRows:
-    """Return a function that reads the rows of a tenant's shard and caches them: shards are named by hash, and never
-    change.
+@dataclass(frozen=True, slots=True)
+class TreeParts:
+    """How what a root lists is read.
+
+    rows   of a shard
+    nodes  (depth of the parts, node) -> parts of a node
     """
-    return lru_cache(maxsize=_CACHED_SHARDS)(lambda tenant, shard: load_shard(store_of_tenant(store, tenant), shard))
+
+    rows: LoadRows
+    nodes: LoadNode
 
 
-def find_row(index: Index, key: str, rows: LoadRows) -> tuple[Shard, Row] | None:
+def parts_on(store: Store, collection: str) -> TreeParts:
+    """Return how the parts of a collection on a store are read."""
+    return TreeParts(partial(load_shard, store), partial(load_node, store, collection))
+
+
+def tenant_parts(store: Store) -> Callable[[str, str], TreeParts]:
+    """Return a function (tenant, collection) -> TreeParts that caches what it reads, which is named by hash and never
+    changes.
+    """
+
+    @lru_cache(maxsize=_CACHED)
+    def rows(tenant: str, shard: Shard) -> Iterable[Row]:
+        return load_shard(store_of_tenant(store, tenant), shard)
+
+    @lru_cache(maxsize=_CACHED)
+    def nodes(tenant: str, collection: str, depth: int, node: Shard) -> tuple[Shard, ...]:
+        return load_node(store_of_tenant(store, tenant), collection, depth, node)
+
+    return lambda tenant, collection: TreeParts(partial(rows, tenant), partial(nodes, tenant, collection))
+
+
+def read_root(store: Store, collection: str, verification_keys: tuple[PublicKey, ...] = ()) -> Index:
+    """Read a collection's root; of one that only earlier releases have written, its flat index.
+
+    Raises FileNotFoundError where there is no such collection, CatalogueFault.
+    """
+    return read_index(read_root_data(store, collection), collection, verification_keys)
+
+
+def read_root_data(store: Store, collection: str) -> bytes:
+    """Read the bytes that `read_root` parses. Raises FileNotFoundError."""
+    try:
+        return store.get(root_name(collection))
+    except FileNotFoundError:
+        return store.get(index_name(collection))
+
+
+def find_row(index: Index, key: str, parts: TreeParts) -> tuple[Shard, Row] | None:
     """Find the row of an asset and the shard that has it; None where the collection does not list the key."""
-    if not index.shards:
-        return None
-    shard = index.shards[index.shard_number(key)]
-    row = next((row for row in rows(shard) if row.key == key), None)
-    return (shard, row) if row else None
+    shard = shard_with(index, key, parts.nodes)
+    row = next((row for row in parts.rows(shard) if row.key == key), None) if shard else None
+    return (shard, row) if shard and row else None
 
 
 def retry_if_shard_missing(attempt: Callable[[], _T]) -> _T:
-    """Call `attempt`, which reads an index and then its shards; retry when a shard was deleted in between.
+    """Call `attempt`, which reads a root and then its parts; retry when one was deleted in between.
 
     Raises CatalogueFault SHARD_MISSING after three attempts.
     """

@@ -1,55 +1,45 @@
-"""Update collections after an asset has changed: write a shard with the asset's new row, then the signed index.
-
-Every attempt reads the catalogue entry after the index, and replaces the index by compare-and-swap. So the last writer
-to succeed has seen the newest entry, and the next run completes one that was interrupted.
-"""
+"""Update collections after an asset or their visibility has changed, or write them anew."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from capture2vr.sentences.sentence import say
-from capture2vr.storage.catalogue.collection import (
-    RETIRED_SHARDS,
-    Index,
-    Row,
-    Shard,
-    index_name,
-    load_shard,
-    parse_envelope,
-    read_index,
-    row_of,
-    shard_name,
-    sign_index,
+from capture2vr.storage.catalogue.collection import Row
+from capture2vr.storage.catalogue.commit import (
+    check_unchanged,
+    commit,
+    commit_id,
+    listed_row,
+    read_current,
+    read_unchecked,
+    write_root,
 )
-from capture2vr.storage.catalogue.compare_and_swap import now_iso, put_mutable, read_mutable, retry_on_conflict
-from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry
-from capture2vr.storage.catalogue.faults import (
-    CATALOGUE_TRUNCATED,
-    SHARD_MISSING,
-    SIGNATURE_MISSING,
-    SIGNING_KEY_MISSING,
-    CatalogueFault,
-)
-from capture2vr.storage.catalogue.shards import delete_shards, full_shards, split_rows, write_shards
+from capture2vr.storage.catalogue.compare_and_swap import now_iso, read_mutable, retry_on_conflict
+from capture2vr.storage.catalogue.earlier_forms import write_earlier_forms
+from capture2vr.storage.catalogue.entry import list_keys, read_entry
+from capture2vr.storage.catalogue.group_commit import commit_in_turn
+from capture2vr.storage.catalogue.retired import all_objects, delete_objects
+from capture2vr.storage.catalogue.root import Index, index_name, index_or_none
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
-from capture2vr.storage.catalogue.visibility import Visibility, lists
-from capture2vr.storage.store import ConditionFailed, Store
+from capture2vr.storage.catalogue.tree import Draft
+from capture2vr.storage.catalogue.visibility import Visibility
+from capture2vr.storage.store import Store
 
 _PAGE = 1000  # keys per list request, the most that S3 allows
 
 
 def update_collections(store: Store, key: str, keys: Keys = NO_KEYS) -> None:
     """Update the asset's row in every collection that its catalogue entry names, or take it out of those that others
-    may read and that may not list it. One that is held back is in none.
+    may read and that may not list it. One that is held back is in none. Unity's catalogues follow.
 
     Writes nothing where nothing has changed. Raises FileNotFoundError where nothing was published under the key,
     CatalogueFault for a collection that is damaged, has no valid signature, or that this process cannot sign.
     """
     for collection in read_entry(store, key).collections:
-        _update_collection(store, collection, key, keys)
+        commit_in_turn(store, collection, key, keys)
 
 
 def rebuild(store: Store, collection: str, keys: Keys = NO_KEYS) -> Index:
@@ -61,44 +51,45 @@ def rebuild(store: Store, collection: str, keys: Keys = NO_KEYS) -> Index:
     """
 
     def attempt() -> Index:
-        data, etag = read_mutable(store, index_name(collection))
-        present = _index_or_none(data, collection)
+        present, etag, exists = read_unchecked(store, collection)
         visibility = present.visibility if present else None
         rows = _all_rows(store, collection, visibility)
-        if not rows and data is None:
+        if not rows and not exists:
             raise FileNotFoundError(f"there is no collection {collection}, and no asset belongs to it")
-        _check_unchanged(store, collection, etag)
         # Seconds since 1970 exceed any count of changes: so clients accept the new version even where the old count
         # was lost.
         version = max(present.version + 1 if present else 1, int(time.time()))
         return _replace_all(store, present or Index(collection, 0, "", ()), rows, version, keys, etag)
 
-    return retry_on_conflict(attempt)
+    index = retry_on_conflict(attempt)
+    write_earlier_forms(store, collection, keys, index)
+    return index
 
 
-def change_visibility(store: Store, collection: str, visibility: Visibility | None, keys: Keys = NO_KEYS) -> Index:
-    """Set a collection's visibility, write its list anew and sign it.
+def set_collection_visibility(store: Store, name: str, visibility: Visibility | None, keys: Keys = NO_KEYS) -> Index:
+    """Set a collection's visibility, write its list anew, without what it may not list any more, and sign it.
 
-    Raises FileNotFoundError where there is no such collection, CatalogueFault as `update_collections`.
+    Idempotent. Raises FileNotFoundError where there is no such collection, OSError (CatalogueFault too) as
+    `update_collections`.
     """
 
     def attempt() -> Index:
-        data, etag = read_mutable(store, index_name(collection))
-        if data is None:
-            raise FileNotFoundError(say("no_collection", name=collection))
-        present = _read_current_index(data, collection, keys)
+        present, etag = read_current(store, name, keys)
+        if not present.version:
+            raise FileNotFoundError(say("no_collection", name=name))
         if present.visibility == visibility:
             return present
-        rows = _all_rows(store, collection, visibility)
-        _check_unchanged(store, collection, etag)
-        # Others must not find by the index the earlier shards, which list what is private.
-        earlier = (*present.retired, *(shard.sha256 for shard in present.shards))
-        changed = replace(present, visibility=visibility, shards=(), retired=())
+        rows = _all_rows(store, name, visibility)
+        # Others must not find by the root the earlier objects, which list what is private.
+        earlier = all_objects(store, present)
+        changed = replace(present, visibility=visibility, parts=(), retired=(), lists=())
         index = _replace_all(store, changed, rows, present.version + 1, keys, etag)
-        delete_shards(store, collection, earlier)
+        delete_objects(store, earlier)
         return index
 
-    return retry_on_conflict(attempt)
+    index = retry_on_conflict(attempt)
+    write_earlier_forms(store, name, keys, index)
+    return index
 
 
 def remove_row(store: Store, collection: str, key: str, keys: Keys = NO_KEYS) -> None:
@@ -106,133 +97,32 @@ def remove_row(store: Store, collection: str, key: str, keys: Keys = NO_KEYS) ->
 
     Idempotent. Raises CatalogueFault as `update_collections` does.
     """
-    _replace_row(store, collection, key, keys, lambda _: [])
+    index = commit(store, collection, lambda _: {key: None}, keys)
+    write_earlier_forms(store, collection, keys, index)
 
 
 def empty(store: Store, collection: str, keys: Keys = NO_KEYS) -> None:
-    """Remove all rows of a collection for good. Its index stays, so that clients see the newer version and obey it.
+    """Remove all rows of a collection for good. Its root stays, so that clients see the newer version and obey it.
 
-    Works on a damaged collection too. Idempotent. Raises CatalogueFault where this process cannot sign the index.
+    Works on a damaged collection too. Idempotent. Raises CatalogueFault where this process cannot sign the root.
     """
 
-    def attempt() -> None:
-        data, etag = read_mutable(store, index_name(collection))
-        present = _index_or_none(data, collection)
-        if present is not None and not present.shards and not present.retired:
-            return
-        if data is not None and present is not None:
-            _read_current_index(data, collection, keys)
+    def attempt() -> Index:
+        present, etag, _ = read_unchecked(store, collection)
+        if present is not None:
+            read_current(store, collection, keys)
+            if not (present.parts or present.retired or present.lists):
+                return present
         version = max(present.version + 1 if present else 1, int(time.time()))
         visibility = present.visibility if present else None
-        _replace_index(store, Index(collection, version, now_iso(), (), (), visibility), (), keys, etag)
+        index = Index(collection, version, now_iso(), (), visibility=visibility)
+        draft = Draft(store, collection, commit_id(index, {}))
+        return write_root(replace(index, commit=draft.commit), draft, keys, etag)
 
-    retry_on_conflict(attempt)
-
-
-def _update_collection(store: Store, collection: str, key: str, keys: Keys) -> None:
-    _replace_row(store, collection, key, keys, lambda visibility: _listed_rows([read_entry(store, key)], visibility))
-
-
-def _replace_row(
-    store: Store, collection: str, key: str, keys: Keys, rows_for: Callable[[Visibility | None], list[Row]]
-) -> None:
-    """Write the asset's row in place of the one that the collection has; without one it is in no earlier shard either.
-
-    rows_for  returns the row for a collection of this visibility, or nothing where there shall be none
-    """
-
-    def attempt() -> bool:
-        data, etag = read_mutable(store, index_name(collection))
-        present = _read_current_index(data, collection, keys)
-        wanted = rows_for(present.visibility)
-        number, rows = present.shard_number(key), _load_rows(store, present, key, etag)
-        others = [each for each in rows if each.key != key]
-        new_rows = sorted([*others, *wanted], key=lambda each: each.key)
-        if data is not None and new_rows == list(rows):
-            return bool(wanted)
-        _check_unchanged(store, collection, etag)
-        new_shards = write_shards(store, collection, split_rows(new_rows), present.version + 1)
-        replaced = [shard.sha256 for shard in present.shards[number : number + 1]]
-        shards = (*present.shards[:number], *new_shards, *present.shards[number + 1 :])
-        retired = (*present.retired, *replaced)
-        index = Index(collection, present.version + 1, now_iso(), shards, retired, present.visibility)
-        _replace_index(store, index, new_shards, keys, etag)
-        return bool(wanted)
-
-    if not retry_on_conflict(attempt):  # others must not find by the index the earlier shards, which list it
-        _forget_retired(store, collection, keys)
-
-
-def _forget_retired(store: Store, collection: str, keys: Keys) -> None:
-    """Delete all retired shards now. Clients that read an older index a moment ago read the new one instead."""
-
-    def attempt() -> None:
-        data, etag = read_mutable(store, index_name(collection))
-        present = _read_current_index(data, collection, keys)
-        if present.retired:
-            for sha256 in present.retired:
-                store.delete(shard_name(collection, sha256))
-            index = replace(present, version=present.version + 1, updated=now_iso(), retired=())
-            _replace_index(store, index, (), keys, etag)
-
-    retry_on_conflict(attempt)
-
-
-def _check_unchanged(store: Store, collection: str, etag: str | None) -> None:
-    """Raises ConditionFailed where the index's etag is no longer `etag`.
-
-    Called before shards are written for the next version: another writer of that version may make identical ones.
-    """
-    try:
-        now = store.head(index_name(collection)).etag
-    except FileNotFoundError:
-        now = None
-    if now != etag:
-        raise ConditionFailed(f"{index_name(collection)} has changed")
-
-
-def _read_current_index(data: bytes | None, collection: str, keys: Keys) -> Index:
-    """Verify and parse the present index; an empty one where there is none.
-
-    Raises CatalogueFault, also where the index is signed and this process has no key to sign the next one.
-    """
-    if data is None:
-        return Index(collection, 0, "", ())
-    if not keys.signers and parse_envelope(data, collection)[1]:
-        message = "it is signed, and this process has no key to sign the new version"
-        raise CatalogueFault(SIGNING_KEY_MISSING, index_name(collection), message, hint="set STORAGE_SIGNING_KEY")
-    try:
-        return read_index(data, collection, keys.verification_keys if keys.signers else ())
-    except CatalogueFault as fault:
-        # Never sign an unsigned index without being asked: an attacker with write access to the store could strip the
-        # signature, change the content, and get it signed here.
-        if fault.code in (SIGNATURE_MISSING, CATALOGUE_TRUNCATED):
-            hint = f"if you trust the store: capture2vr catalogue rebuild --collection {collection}"
-            raise CatalogueFault(fault.code, fault.name, fault.message, hint=hint) from None
-        raise
-
-
-def _index_or_none(data: bytes | None, collection: str) -> Index | None:
-    """Parse an index without checking its signature; None where there is none, or it cannot be read."""
-    try:
-        return read_index(data, collection) if data is not None else None
-    except CatalogueFault:
-        return None
-
-
-def _load_rows(store: Store, present: Index, key: str, etag: str | None) -> tuple[Row, ...]:
-    """Return the rows of the shard that has the key, or would take it.
-
-    Raises ConditionFailed where the shard was deleted because another writer has replaced the index.
-    """
-    if not present.shards:
-        return ()
-    try:
-        return load_shard(store, present.shards[present.shard_number(key)])
-    except CatalogueFault as fault:
-        if fault.code == SHARD_MISSING:
-            _check_unchanged(store, present.collection, etag)
-        raise
+    index = retry_on_conflict(attempt)
+    flat = index_or_none(read_mutable(store, index_name(collection))[0], collection)
+    if flat is None or flat.commit != index.commit:
+        write_earlier_forms(store, collection, keys, index)
 
 
 def _all_rows(store: Store, collection: str, visibility: Visibility | None) -> list[Row]:
@@ -240,50 +130,18 @@ def _all_rows(store: Store, collection: str, visibility: Visibility | None) -> l
     after = ""
     while page := list_keys(store, after=after, limit=_PAGE):
         entries = (read_entry(store, key) for key in page)
-        rows += _listed_rows((each for each in entries if collection in each.collections), visibility)
+        rows += filter(None, (listed_row(each, visibility) for each in entries if collection in each.collections))
         after = page[-1]
     return sorted(rows, key=lambda row: row.key)
-
-
-def _listed_rows(entries: Iterable[Entry], visibility: Visibility | None) -> list[Row]:
-    """Return the rows of those assets that a collection of this visibility lists, without those that are held back."""
-    return [row_of(each) for each in entries if lists(visibility, each.visibility) and not each.held]
 
 
 def _replace_all(
     store: Store, present: Index, rows: Sequence[Row], version: int, keys: Keys, etag: str | None
 ) -> Index:
-    """Write an index that lists these rows alone, in place of the present one."""
-    new_shards = write_shards(store, present.collection, full_shards(rows), version)
-    retired = (*present.retired, *(shard.sha256 for shard in present.shards))
-    index = Index(present.collection, version, now_iso(), tuple(new_shards), retired, present.visibility)
-    return _replace_index(store, index, new_shards, keys, etag)
-
-
-def _replace_index(store: Store, index: Index, new_shards: Sequence[Shard], keys: Keys, etag: str | None) -> Index:
-    """Write `index` in place of the one that was read with `etag`, deleting the oldest retired shards.
-
-    Raises ConditionFailed where somebody else wrote it meanwhile; `new_shards` are then deleted.
-    """
-    over = max(0, len(index.retired) - RETIRED_SHARDS)
-    # Deleted before the index forgets their names. That is safe: no index ever lists a retired shard again.
-    delete_shards(store, index.collection, index.retired[:over])
-    index = replace(index, retired=index.retired[over:])
-    try:
-        put_mutable(store, index_name(index.collection), sign_index(index, keys.signers), etag)
-    except ConditionFailed:
-        _delete_unlisted(store, index.version, index.collection, new_shards)
-        raise
-    return index
-
-
-def _delete_unlisted(store: Store, version: int, collection: str, new_shards: Sequence[Shard]) -> None:
-    """Delete the shards of a version that another writer has written, unless its index lists identical ones.
-
-    Each version is written only once, so no later index will list them. A put whose answer was lost looks like a
-    conflict too; then the index on the store is ours and lists them.
-    """
-    winner = _index_or_none(read_mutable(store, index_name(collection))[0], collection)
-    if winner is not None and winner.version >= version:
-        known = {*(shard.sha256 for shard in winner.shards), *winner.retired}
-        delete_shards(store, collection, [shard.sha256 for shard in new_shards if shard.sha256 not in known])
+    """Write a tree of these rows alone in place of the present one."""
+    check_unchanged(store, present.collection, etag)
+    draft = Draft(store, present.collection, commit_id(present, {row.key: row for row in rows}))
+    parts, depth = draft.build(rows)
+    earlier = [each for each in all_objects(store, present) if "/retired." not in each]
+    index = replace(present, version=version, updated=now_iso(), parts=parts, depth=depth, commit=draft.commit)
+    return write_root(replace(index, retired=tuple(earlier), lists=()), draft, keys, etag)

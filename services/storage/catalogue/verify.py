@@ -1,4 +1,4 @@
-"""verify(): check a collection's signature and every hash, from the index down to the last file, as a client would."""
+"""verify(): check a collection's signature and every hash, from the root down to the last file, as a client would."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
-from capture2vr.storage.catalogue.collection import Index, Row, Shard, index_name, read_index, read_shard
+from capture2vr.storage.catalogue.collection import Row, Shard, read_shard
 from capture2vr.storage.catalogue.faults import (
     CATALOGUE_MISSING,
     FILE_CHANGED,
@@ -18,7 +19,9 @@ from capture2vr.storage.catalogue.faults import (
     CatalogueFault,
 )
 from capture2vr.storage.catalogue.reader import AssetFile, parse_manifest
+from capture2vr.storage.catalogue.root import Index, index_name, read_index, root_name
 from capture2vr.storage.catalogue.signing import PublicKey
+from capture2vr.storage.catalogue.tree import read_node
 from capture2vr.storage.store import Store
 
 Fetch = Callable[[str], Iterable[bytes]]
@@ -34,8 +37,8 @@ _BLOCK_BYTES = 8 << 20  # per read: the largest bundles have about 100 MB
 class CheckResult:
     """Result for one kind of objects: how many were checked, their bytes, and the faults found.
 
-    kind     index | shards | manifests | files
-    summary  of the index: its version and its time; "" for the others
+    kind     root | nodes | shards | manifests | files; nodes are of one level, and small collections have none
+    summary  of the root: its version and its time; "" for the others
     """
 
     kind: str
@@ -48,7 +51,7 @@ class CheckResult:
 def verify(
     fetch: Fetch, collection: str, verification_keys: tuple[PublicKey, ...], *, at_least: int = 0
 ) -> Iterator[CheckResult]:
-    """Check index, shards, manifests and files, in this order, stopping after the first kind that has faults.
+    """Check root, nodes, shards, manifests and files, in this order, stopping after the first kind that has faults.
 
     What a faulty object lists could not be trusted anyway. Files of removed assets are checked too: they may come back.
     """
@@ -56,7 +59,14 @@ def verify(
     yield result
     if index is None:
         return
-    shards, result = _check_all("shards", index.shards, lambda shard: _check_shard(fetch, shard))
+    parts = index.parts
+    for depth in reversed(range(index.depth)):
+        below, result = _check_all("nodes", parts, partial(_check_node, fetch, collection, depth))
+        yield result
+        if result.faults:
+            return
+        parts = tuple(part for node in below for part in node)
+    shards, result = _check_all("shards", parts, lambda shard: _check_shard(fetch, shard))
     yield result
     if result.faults:
         return
@@ -84,13 +94,29 @@ def fetch_from(store: Store) -> Fetch:
 def _check_index(
     fetch: Fetch, collection: str, verification_keys: tuple[PublicKey, ...], at_least: int
 ) -> tuple[Index | None, CheckResult]:
-    name, data = index_name(collection), b""
+    data = b""
     try:
-        data = _read_object(fetch, name, CATALOGUE_MISSING)
+        data = _read_root(fetch, collection)
         index = read_index(data, collection, verification_keys, at_least=at_least)
     except CatalogueFault as fault:
-        return None, CheckResult("index", 1, len(data), (fault,))
-    return index, CheckResult("index", 1, len(data), (), f"version {index.version}, updated {index.updated}")
+        return None, CheckResult("root", 1, len(data), (fault,))
+    return index, CheckResult("root", 1, len(data), (), f"version {index.version}, updated {index.updated}")
+
+
+def _read_root(fetch: Fetch, collection: str) -> bytes:
+    """Read the root; of a collection that only earlier releases have written, its flat index."""
+    try:
+        return _read_object(fetch, root_name(collection), CATALOGUE_MISSING)
+    except CatalogueFault as missing:
+        try:
+            return _read_object(fetch, index_name(collection), CATALOGUE_MISSING)
+        except CatalogueFault:
+            raise missing from None
+
+
+def _check_node(fetch: Fetch, collection: str, depth: int, node: Shard) -> tuple[tuple[Shard, ...], int]:
+    data = _read_object(fetch, node.name, SHARD_MISSING)
+    return read_node(data, node, collection, depth), len(data)
 
 
 def _check_all(kind: str, each: Iterable[Any], check: Callable[[Any], tuple[_T, int]]) -> tuple[list[_T], CheckResult]:

@@ -1,18 +1,17 @@
 // The catalogue of the assets, checked against the signed collection: docs/catalogues.md has the chain from one signature down to the
 // last file. A server that signs nothing is believed.
+import { findRow, partsOf, toHex } from './collection-rows.js';
 import { loadFile } from './verified-cache.js';
 import { getCachedJson } from '../shared/api.js';
 import { Problem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 import { ofShownTenant, ownNameOfShown } from '../shared/whose.js';
 
-/** @import { AssetEntry, AssetProof, Collection, CollectionIndex, CollectionRow, Manifest, PublicKey, Shard, ShardDocument, SignedEnvelope } from '../shared/types.d.ts' */
+/** @import { AssetEntry, AssetProof, Collection, CollectionIndex, CollectionRow, Manifest, PublicKey, SignedEnvelope } from '../shared/types.d.ts' */
 
 const KEYS = 'capture2vr:keys';
 const SEEN = 'capture2vr:seen:';
-const TRIES = 3; // a shard is deleted once 32 newer ones have come; the newest index names another one
-const NAME = /^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$/; // of assets and collections; nothing else gets into an address
-const HASH = /^[A-Za-z0-9_-]{43}$/; // a sha256 as rows have it: base64url without padding
+const TRIES = 3; // shards and nodes are deleted a while after newer ones have come; the newest root names others
 
 /**
  * Check an entry: it is returned with the hashes of its files as they were signed, and without files that were not.
@@ -78,19 +77,19 @@ function withSignedHashes(entry, manifest) {
  * Load a collection and check its signature.
  * @param {string} name
  * @returns {Promise<Collection>}
- * @throws {Problem} CATALOGUE_FORGED, CATALOGUE_OLDER, and what loading throws
+ * @throws {Problem} CATALOGUE_FORGED, CATALOGUE_OLDER, CATALOGUE_TRUNCATED, and what loading throws
  */
 export async function loadCollection(name) {
   const keys = await loadKeys();
   /** @type {SignedEnvelope} */
-  const envelope = await getCachedJson(ofShownTenant(`/v1/collections/${encodeURIComponent(name)}`));
+  const envelope = await getCachedJson(ofShownTenant(`/v1/collections/${encodeURIComponent(name)}?form=tree`));
   /** @type {CollectionIndex} */
   const index = keys.length && crypto.subtle ? await checkIndex(envelope, name, keys) : JSON.parse(envelope.signed);
-  return { name, version: index.version, shards: index.shards, base: envelope.base };
+  return { name, version: index.version, base: envelope.base, ...partsOf(name, index) };
 }
 
 /**
- * Call a function with the newest version of a collection, and again with a newer one where a shard was deleted meanwhile.
+ * Call a function with the newest version of a collection, and again with a newer one where a shard or a node was deleted meanwhile.
  * @template T
  * @param {string} name
  * @param {(collection: Collection) => Promise<T>} work
@@ -104,37 +103,6 @@ export async function withNewest(name, work) {
       if (!(error instanceof Problem) || error.code !== 'ASSET_ABSENT' || left === 1) throw error;
     }
   }
-}
-
-/**
- * Load the rows of a shard. Rows that make no sense are left out.
- * @param {Collection} collection
- * @param {Shard} shard
- * @returns {Promise<CollectionRow[]>}
- */
-export async function loadRows(collection, shard) {
-  const file = { url: new URL(shard.name, collection.base).href, sha256: shard.sha256, file: t('the catalogue') };
-  /** @type {ShardDocument} */
-  const { columns, words, rows } = decodeJson(await loadFile(file));
-  return rows
-    .map((cells) => rowFrom(columns, words, cells))
-    .filter(({ key, manifest }) => NAME.test(key) && HASH.test(manifest));
-}
-
-/**
- * @param {string[]} columns
- * @param {string[]} words
- * @param {unknown[]} cells
- * @returns {CollectionRow}
- */
-function rowFrom(columns, words, cells) {
-  const row = Object.fromEntries(columns.map((column, place) => [column, cells[place]]));
-  const labels = /** @type {number[]} */ (row.labels).map((place) => String(words[place]));
-  const state = /** @type {CollectionRow['state']} */ (words[Number(row.state)]);
-  const [key, manifest] = [String(row.key), String(row.manifest)];
-  const grade = String(words[Number(row.grade)] ?? ''); // older shards have no grade, and no size
-  const facts = { version: Number(row.version), updated: Number(row.updated), bytes: Number(row.bytes ?? 0), grade };
-  return { key, label: String(row.label || key), labels, state, manifest, ...facts };
 }
 
 /**
@@ -231,15 +199,6 @@ async function verify(publicKey, signature, text) {
 }
 
 /**
- * @param {Collection} collection
- * @param {string} key of an asset
- */
-async function findRow(collection, key) {
-  const shard = collection.shards.findLast((each) => each.first <= key) ?? collection.shards.at(0);
-  return shard ? (await loadRows(collection, shard)).find((row) => row.key === key) : undefined;
-}
-
-/**
  * Read a value from the local storage; null where there is none, it is damaged, or the browser forbids the storage.
  * @param {string} key
  * @returns {unknown}
@@ -269,9 +228,3 @@ const decodeJson = (bytes) => JSON.parse(new TextDecoder().decode(bytes));
 
 /** @param {string} base64 */
 const fromBase64 = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
-
-/** @param {string} base64url */
-function toHex(base64url) {
-  const bytes = fromBase64(base64url.replaceAll('-', '+').replaceAll('_', '/'));
-  return Array.from(bytes, (value) => value.toString(16).padStart(2, '0')).join('');
-}

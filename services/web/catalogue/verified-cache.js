@@ -9,7 +9,7 @@ import { ownName } from '../shared/whose.js';
 const NAME = 'assets-1';
 
 /** @import { AssetFile } from '../shared/types.d.ts' */
-/** @typedef {Pick<AssetFile, 'url' | 'sha256' | 'file'>} CatalogueFile a file as a catalogue names it; `file` is its name for people */
+/** @typedef {Pick<AssetFile, 'url' | 'sha256' | 'file'> & { bytes?: number }} CatalogueFile a file as a catalogue names it; `file` is its name for people, `bytes` its size where that is known */
 
 /**
  * Load a file of a catalogue, from the device where it has it.
@@ -34,7 +34,7 @@ export async function loadFile(file) {
 async function fetchFile(file) {
   // The browser's own cache may have rotted too: a wrong file is asked for once more, from the server.
   for (const cache of /** @type {const} */ (['default', 'reload'])) {
-    const { response, bytes } = await fetchBytes(file.url, { cache });
+    const { response, bytes } = await fetchBytes(file.url, { cache, mostBytes: file.bytes });
     if (isDamaged(response.status, bytes)) throw tampered(file);
     if (!response.ok) {
       const hints = [t('Try again later.')];
@@ -45,7 +45,7 @@ async function fetchFile(file) {
         hints,
       });
     }
-    if (await hasHash(bytes, file.sha256)) return bytes;
+    if (bytes.byteLength <= (file.bytes ?? Infinity) && (await hasHash(bytes, file.sha256))) return bytes;
   }
   throw tampered(file);
 }

@@ -14,10 +14,10 @@ func test_signatures_hold_or_do_not() -> void:
 
 func test_a_collection_tells_its_assets() -> void:
 	var found := await opened()
-	expect_equal(PackedStringArray(["bowl", "cup"]), found.keys())
-	expect_equal(PackedStringArray(["bowl", "cup"]), found.keys("kitchen"))
-	expect_equal(PackedStringArray(), found.keys("garden"))
-	var bowl := found.rows()[0]
+	expect_equal(PackedStringArray(["bowl", "cup"]), await found.keys())
+	expect_equal(PackedStringArray(["bowl", "cup"]), await found.keys("kitchen"))
+	expect_equal(PackedStringArray(), await found.keys("garden"))
+	var bowl: CaptureRow = (await found.rows())[0]
 	expect_equal(["Bowl", 2, PackedStringArray(["kitchen", "round"])], [bowl.label, bowl.version, bowl.labels])
 
 
@@ -95,7 +95,7 @@ func test_files_are_loaded_once() -> void:
 
 func test_a_full_disk_leaves_the_last_good_catalogue() -> void:
 	await turn_to("v1")
-	await opened()
+	expect_ok(await (await opened()).row_of("bowl"))
 	var folder := ProjectSettings.globalize_path("user://capture2vr")
 	var below: String = Array(DirAccess.get_directories_at(folder)).filter(func(each: String) -> bool: return each != "files")[0]
 	# A file of the system that can be opened and takes nothing.
@@ -105,7 +105,7 @@ func test_a_full_disk_leaves_the_last_good_catalogue() -> void:
 	await opened()
 	await turn_to("off")
 	var later := await opened()
-	expect_equal(1, later.row_of("bowl").version if later.is_open() else 0)
+	expect_equal(1, (await later.row_of("bowl")).version if later.is_open() else 0)
 
 
 func test_without_a_network_a_first_start_fails() -> void:
@@ -127,7 +127,7 @@ func test_a_signature_of_somebody_else_is_refused() -> void:
 	var found := collection()
 	found.public_keys = [Marshalls.raw_to_base64("01234567890123456789012345678901".to_utf8_buffer())]
 	expect_fault(CaptureFault.KEY_UNKNOWN, await found.open())
-	expect_fault(CaptureFault.COLLECTION_CLOSED, found.row_of("bowl"))
+	expect_fault(CaptureFault.COLLECTION_CLOSED, await found.row_of("bowl"))
 
 
 func test_one_key_of_several_suffices() -> void:
@@ -167,8 +167,8 @@ func test_an_older_index_is_refused_after_a_restart_too() -> void:
 func test_an_asset_that_was_removed() -> void:
 	await turn_to("removed")
 	var found := await opened()
-	expect_equal(PackedStringArray(["cup"]), found.keys())
-	expect_fault(CaptureFault.ASSET_REMOVED, found.row_of("bowl"))
+	expect_equal(PackedStringArray(["cup"]), await found.keys())
+	expect_fault(CaptureFault.ASSET_REMOVED, await found.row_of("bowl"))
 	expect_fault(CaptureFault.ASSET_UNKNOWN, await found.download("spoon"))
 
 
@@ -256,8 +256,8 @@ func test_what_was_not_used_for_long_goes_first() -> void:
 
 func test_a_preview_is_a_picture_or_a_fault() -> void:
 	var found := await opened()
-	expect_fault(CaptureFault.MESH_INVALID, await found.preview(found.rows()[0]))
-	expect_equal(null, await found.preview(found.rows()[1]))
+	expect_fault(CaptureFault.MESH_INVALID, await found.preview((await found.rows())[0]))
+	expect_equal(null, await found.preview((await found.rows())[1]))
 
 
 func _levels_known_to(found: CaptureCollection) -> Array:

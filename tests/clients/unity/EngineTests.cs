@@ -2,6 +2,7 @@
 // main thread as the engine has one, and fetch from a real server.
 using System;
 using System.Collections.Generic;
+using System.Diagnostics;
 using System.IO;
 using System.Linq;
 using System.Reflection;
@@ -15,6 +16,7 @@ using UnityEngine.ResourceManagement.AsyncOperations;
 using UnityEngine.ResourceManagement.ResourceLocations;
 using UnityEngine.ResourceManagement.ResourceProviders;
 using UnityEngine.XR.Interaction.Toolkit.Interactables;
+using Debug = UnityEngine.Debug;
 using Object = UnityEngine.Object;
 
 public static class EngineTests
@@ -99,6 +101,33 @@ public static class EngineTests
         {
             Expect.Throws<InvalidOperationException>(() => Catalogue.Cache.Release(lod.In("sha256").Text()));
         }
+    }
+
+    // Who starts Addressables.
+
+    public static async Task AnAppThatHasStartedAddressablesKeepsItsHandle()
+    {
+        var starting = Addressables.InitializeAsync(false);
+        await Open();
+        Expect.True(starting.IsValid(), "it is still the app's");
+        Addressables.Release(starting);
+        await Open("www/v1");
+    }
+
+    public static async Task ACollectionIsOpenedWhileTheAppStartsAddressables()
+    {
+        var starting = Addressables.InitializeAsync(); // lets go of itself
+        await Open();
+        Expect.True(!starting.IsValid(), "it has ended");
+        Expect.Equal(AsyncOperationStatus.Succeeded, (await Load()).Status);
+    }
+
+    public static async Task AnAppWithoutSettingsOpensACollectionAfterOneThatIsNotThere()
+    {
+        Addressables.HasSettings = false;
+        await Expect.Fault(CaptureFault.FileMissing, () => Catalogue.OpenAsync($"{Facts.Server}/www/v2", "nowhere"));
+        await Open();
+        Expect.Equal(AsyncOperationStatus.Succeeded, (await Load()).Status);
     }
 
     // The providers.
@@ -441,7 +470,7 @@ public static class EngineTests
         Facts.Ask("turn/removed");
         await asset.FollowAsync();
         Expect.True(asset.Info == null, "it is out of sight");
-        Expect.Lines(new[] { CaptureFault.AssetUnknown }, codes);
+        Expect.Lines(new[] { CaptureFault.AssetRemoved }, codes);
         NothingIsLeft();
         Facts.Ask("turn/v2");
         await asset.FollowAsync();
@@ -553,6 +582,7 @@ public static class EngineTests
         await asset.ShowAsync();
         Expect.Lines(new[] { CaptureFault.AssetUnknown }, codes);
         Restart("off");
+        Application.persistentDataPath = Facts.NewFolder();
         var fault = await Expect.Fault(CaptureFault.Unreachable, () => Open());
         Expect.True(fault.Message.Contains("default"), fault.Message);
     }
@@ -825,6 +855,273 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    // Collections that are too large for a catalogue of Addressables.
+
+    private static long Large => Facts.All.In("large").Whole();
+
+    private static async Task<OpenCollection> OpenLarge(params string[] keys)
+    {
+        Restart("large1");
+        return await Open("live", keys);
+    }
+
+    private static async Task<IList<IResourceLocation>> Locations(string key) => await Addressables.LoadResourceLocationsAsync(key).Ended();
+
+    public static async Task LocationsAreThoseThatTheServersCatalogueHas()
+    {
+        Restart("large2");
+        var collection = await Open("live", Key);
+        await collection.EnsureAsync(Facts.All.In("listed").List().Select(each => each.Text()).ToArray());
+        var table = Json.Parse(Facts.Ask("www/large2/listed.json"));
+        var wanted = table.In("locations").List();
+        Expect.True(wanted.Count > 600, "files and assets");
+        foreach (var each in wanted)
+        {
+            var found = (await Locations(each.In("key").Text())).Single();
+            Expect.Equal(Described(each, wanted), Described(found));
+        }
+        var locator = Addressables.ResourceLocators.Single();
+        Expect.Lines(wanted.Select(each => each.In("key").Text()).OrderBy(each => each), locator.Keys.Cast<string>().OrderBy(each => each));
+        Expect.Equal(wanted.Count, locator.AllLocations.Count());
+    }
+
+    /// <summary>All that our writer tells of a location.</summary>
+    private static string Described(object told, List<object> all)
+    {
+        var data = told.In("data");
+        var options = data as string ?? $"{data.In("hash").Text()} {data.In("crc").Whole()} {data.In("name").Text()} {data.In("size").Whole()}";
+        var dependencies = told.In("dependencies").List().Select(place => all[(int)place.Whole()].In("key").Text());
+        var id = told.In("internal_id").Text().Replace("{Capture2vr.Catalogue.BaseUrl}", Catalogue.BaseUrl);
+        return string.Join(" | ", told.In("key").Text(), id, told.In("provider").Text(), told.In("type").In("name").Text(), options, string.Join(" ", dependencies));
+    }
+
+    private static string Described(IResourceLocation location)
+    {
+        var bundle = location.Data as AssetBundleRequestOptions;
+        var options = bundle == null ? (string)location.Data : $"{bundle.Hash} {bundle.Crc} {bundle.BundleName} {bundle.BundleSize}";
+        var dependencies = string.Join(" ", location.Dependencies.Select(each => each.PrimaryKey));
+        return string.Join(" | ", location.PrimaryKey, location.InternalId, location.ProviderId, location.ResourceType.FullName, options, dependencies);
+    }
+
+    public static async Task OfALargeCollectionAddressablesLoadsWhatWasFound()
+    {
+        var collection = await OpenLarge(Key);
+        Expect.Equal(0, (await Locations(Bowl)).Count);
+        await collection.EnsureAsync("bowl", "cup");
+        var handle = await Load();
+        Expect.Equal(1, handle.Result.GetComponent<CapturedInfo>().Version);
+        var downloading = Addressables.DownloadDependenciesAsync("captures/cup");
+        Expect.Equal(3, (await downloading.Ended()).Count);
+        Addressables.Release(downloading);
+        Addressables.Release(handle);
+        NothingIsLeft();
+        await Expect.Fault(CaptureFault.AssetUnknown, () => collection.EnsureAsync("nobody"));
+    }
+
+    public static async Task ALargeCollectionIsSearchedInsteadOfListed()
+    {
+        var collection = await OpenLarge(Key);
+        Expect.Equal(CaptureFault.CollectionLarge, Expect.Throws<CaptureFault>(() => collection.Keys.ToString()).Code);
+        var fault = Expect.Throws<CaptureFault>(() => collection.WithLabel("kitchen"));
+        Expect.True(fault.Message.Contains($"{Large:N0}") && fault.Message.Contains("WithLabelAsync"), fault.Message);
+        Expect.Lines(new[] { "bowl", "cup" }, await collection.WithLabelAsync("kitchen"));
+        Expect.Equal(100, (await collection.WithLabelAsync("rare")).Count);
+        Expect.Equal(Large, (long)(await collection.KeysAsync()).Count);
+        Expect.Equal(Large, (long)(await collection.RowsAsync()).Count);
+        Expect.True(Expect.Throws<CaptureFault>(() => collection.IsCached("bowl")).Message.Contains("EnsureAsync"), "it says what to do");
+        await collection.DownloadAsync("bowl");
+        Expect.True(collection.IsCached("bowl") && collection.Clear("bowl") > 0, "it is found by then");
+    }
+
+    public static async Task TheComponentShowsAndFollowsAnAssetOfALargeCollection()
+    {
+        await OpenLarge(Key);
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Expect.Equal(1, asset.Info.Version);
+        await asset.FollowAsync();
+        Facts.Ask("turn/large2");
+        await asset.FollowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        Facts.Ask("turn/large1");
+        await asset.FollowAsync(); // a root of before is refused, and what is shown stays
+        Expect.Equal(2, asset.Info.Version);
+        Expect.Lines(new string[0], codes);
+        asset.Release();
+        NothingIsLeft();
+    }
+
+    public static async Task OfALargeCollectionTooTheKeyGivesTheNewVersionWhileTheOldOneIsHeld()
+    {
+        var collection = await OpenLarge();
+        await collection.EnsureAsync("bowl", "asset-00100");
+        var before = await Location(Bowl);
+        Facts.Ask("turn/large2");
+        await Catalogue.UpdateAsync();
+        var old = Addressables.LoadAssetAsync<GameObject>(before);
+        await old.Ended();
+        Expect.Equal(1, old.Result.GetComponent<CapturedInfo>().Version);
+        var fresh = await Load();
+        Expect.Equal(2, fresh.Result.GetComponent<CapturedInfo>().Version);
+        Expect.Lines(new[] { Bowl + "@1", Bowl + "@2" }, new[] { before.InternalId, (await Location(Bowl)).InternalId });
+        Expect.Equal(0, (await Locations("captures/asset-00100")).Count);
+        await Expect.Fault(CaptureFault.AssetRemoved, () => collection.EnsureAsync("asset-00100"));
+        Addressables.Release(old);
+        Addressables.Release(fresh);
+        NothingIsLeft();
+    }
+
+    public static async Task WhatWasFoundOfALargeCollectionIsThereWithoutANetwork()
+    {
+        await (await OpenLarge(Key)).DownloadAsync("bowl");
+        Restart("off");
+        await Open("live", Key);
+        var asset = Asset();
+        await asset.ShowAsync();
+        Expect.Equal(1, asset.Info.Version);
+        asset.Release();
+        NothingIsLeft();
+    }
+
+    public static async Task KeysThatAreGivenLaterCountForWhatWasFoundBefore()
+    {
+        await (await OpenLarge()).EnsureAsync("bowl");
+        await Open("live", Convert.ToBase64String(new byte[32]));
+        var handle = await Load(); // nobody whom the app believes has signed it
+        Expect.Equal(CaptureFault.KeyUnknown, Catalogue.FaultOf(handle.OperationException).Code);
+        Addressables.Release(handle);
+        await Open("live", Key);
+        Expect.Equal(AsyncOperationStatus.Succeeded, (await Load()).Status);
+    }
+
+    public static async Task ACollectionThatGrowsTooLargeGoesOn()
+    {
+        var collection = await Open("live", Key);
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Facts.Ask("turn/large2");
+        await asset.FollowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        Expect.Lines(new string[0], codes);
+        Expect.Equal(CaptureFault.CollectionLarge, Expect.Throws<CaptureFault>(() => collection.Keys.ToString()).Code);
+        Expect.Equal(AsyncOperationStatus.Succeeded, (await Load("captures/cup")).Status); // of the catalogue that there was
+        await collection.EnsureAsync("asset-00001");
+        await collection.DownloadAsync("cup");
+        Restart("off"); // Addressables would give its old catalogue from now on
+        var again = await Open("live", Key);
+        Expect.Equal(CaptureFault.CollectionLarge, Expect.Throws<CaptureFault>(() => again.Keys.ToString()).Code);
+        await again.EnsureAsync("asset-00001");
+    }
+
+    public static async Task TenThousandAssetsAreFoundSearchedAndUpdatedInThisTime()
+    {
+        Restart("large1");
+        var watch = Stopwatch.StartNew();
+        Action<string> lap = what =>
+        {
+            Console.WriteLine($"seconds {watch.Elapsed.TotalSeconds:0.00} {what}");
+            watch.Restart();
+        };
+        var collection = await Open("live", Key);
+        lap("to open");
+        var handle = await Load(await Found(collection, "bowl"));
+        lap("to find one and load it");
+        await collection.EnsureAsync("cup");
+        lap("to find one more");
+        await collection.EnsureAsync(Facts.All.In("listed").List().Select(each => each.Text()).ToArray());
+        lap("to find 300 in one call");
+        Expect.Equal(100, (await collection.WithLabelAsync("rare")).Count);
+        lap("to find 100 by a label, on a first visit");
+        Expect.Equal(100, (await collection.WithLabelAsync("rare")).Count);
+        lap("to find them again");
+        await Catalogue.UpdateAsync();
+        lap("to see that nothing is new");
+        Facts.Ask("turn/large2");
+        await Catalogue.UpdateAsync();
+        lap("to take the new version of two of 302 that are known");
+        Expect.Equal(2, AssetVersion(await Locations(Bowl)));
+        Addressables.Release(handle);
+        NothingIsLeft();
+    }
+
+    private static async Task<string> Found(OpenCollection collection, string key)
+    {
+        await collection.EnsureAsync(key);
+        return "captures/" + key;
+    }
+
+    // Unity catalogues that are behind the signed one.
+
+    public static async Task WhatTheUnityCatalogueHasOfBeforeIsShownAsItIsNow()
+    {
+        Restart("behind");
+        var collection = await Open("live", Key);
+        var asset = Asset();
+        var codes = Codes(asset);
+        var handle = await Load(); // Addressables alone, before anything was found
+        Expect.Equal(2, handle.Result.GetComponent<CapturedInfo>().Version);
+        await asset.ShowAsync();
+        await asset.FollowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        await collection.DownloadAsync("bowl");
+        Expect.True(collection.IsCached("bowl"), "as it is now");
+        Expect.Equal(2, AssetVersion(await Locations(Bowl)));
+        Facts.Ask("turn/v2");
+        await asset.FollowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        Expect.Equal(1, (await Locations(Bowl)).Count); // Unity's again, alone
+        Expect.Lines(new string[0], codes);
+        Expect.Lines(new[] { "bowl", "cup" }, collection.Keys);
+        asset.Release();
+        Addressables.Release(handle);
+        NothingIsLeft();
+    }
+
+    /// <summary>That of the location which Addressables takes.</summary>
+    private static int AssetVersion(IList<IResourceLocation> locations) => int.Parse(locations[0].InternalId.Split('@')[1]);
+
+    public static async Task WhatTheUnityCatalogueDoesNotHaveYetIsFound()
+    {
+        foreach (var keys in new[] { new string[0], new[] { Key } })
+        {
+            Application.persistentDataPath = Facts.NewFolder();
+            Restart("unlisted");
+            var collection = await Open("live", keys);
+            var asset = Asset();
+            var codes = Codes(asset);
+            await asset.ShowAsync();
+            Expect.Lines(new string[0], codes);
+            Expect.Equal(2, asset.Info.Version);
+            await collection.EnsureAsync("bowl");
+            Expect.Equal(AsyncOperationStatus.Succeeded, (await Load()).Status);
+            Expect.Lines(new[] { "bowl", "cup" }, collection.Keys);
+            Facts.Ask("turn/removed");
+            await asset.FollowAsync();
+            Expect.Lines(new[] { CaptureFault.AssetRemoved }, codes);
+            asset.Release();
+        }
+    }
+
+    public static async Task ACollectionWhoseUnityCatalogueIsYetToComeIsThereAtOnce()
+    {
+        Restart("young");
+        var collection = await Open("live", Key);
+        Expect.Lines(new[] { "bowl", "cup" }, collection.Keys);
+        Expect.Lines(new[] { "bowl", "cup" }, collection.WithLabel("round"));
+        Expect.Equal(2, (await Locations("kitchen")).Count);
+        var handle = await Load();
+        Expect.Equal(2, handle.Result.GetComponent<CapturedInfo>().Version);
+        Facts.Ask("turn/v2");
+        await Catalogue.UpdateAsync();
+        Expect.Lines(new[] { "bowl", "cup" }, collection.Keys);
+        Expect.Equal(1, (await Locations(Bowl)).Count);
+        Expect.Equal(2, (await Locations("kitchen")).Count);
+        Addressables.Release(handle);
+        NothingIsLeft();
+    }
+
     // The wall of pictures.
 
     private static async Task<Pick> Wall(string way = "live")
@@ -918,6 +1215,7 @@ public static class EngineTests
     {
         await Expect.Fault(CaptureFault.FileMissing, () => Catalogue.OpenAsync($"{Facts.Server}/live", "nobodys"));
         await Expect.Fault(CaptureFault.CatalogueUnreadable, () => Open("www/damaged"));
+        Expect.Equal(0, Addressables.ResourceLocators.Count()); // they left nothing with Addressables
         var asset = Asset();
         var codes = Codes(asset);
         await asset.ShowAsync();

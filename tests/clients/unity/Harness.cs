@@ -119,6 +119,9 @@ public sealed class Pump : SynchronizationContext
     /// <summary>How many frames have begun.</summary>
     public static int Frames { get; private set; }
 
+    /// <summary>What else the engine does in each frame.</summary>
+    public static Action InEachFrame { get; set; } = () => { };
+
     public override void Post(SendOrPostCallback d, object state)
     {
         lock (_posted) _posted.Enqueue(() => d(state));
@@ -149,12 +152,15 @@ public sealed class Pump : SynchronizationContext
             _posted.Clear();
         }
         foreach (var each in due) each();
+        InEachFrame();
     }
 }
 
 /// <summary>.NET as Unity's WebGL player has it: its thread pool runs nothing, and so no timer and no socket of its own.</summary>
 public static class SingleThread
 {
+    private const int Spare = 64;
+
     public static void Begin()
     {
         var all = Environment.ProcessorCount;
@@ -163,11 +169,18 @@ public static class SingleThread
         var busy = new CountdownEvent(all);
         for (var each = 0; each < all; each++) ThreadPool.QueueUserWorkItem(_ => Occupy(busy));
         busy.Wait();
+        // Mono begins a thread more at times, limit or not: it finds these first.
+        for (var each = 0; each < Spare; each++) ThreadPool.QueueUserWorkItem(_ => Sleep());
     }
 
     private static void Occupy(CountdownEvent busy)
     {
         busy.Signal();
+        Sleep();
+    }
+
+    private static void Sleep()
+    {
         while (true) Thread.Sleep(Timeout.Infinite); // Mono ends it early at times
     }
 }

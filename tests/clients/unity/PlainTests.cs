@@ -292,13 +292,23 @@ public static class PlainTests
 
     // The signed catalogue.
 
-    private static async Task<byte[]> IndexData(string version)
+    private const string Root = "root.json";
+
+    /// <summary>A root as a tree has it, and one as earlier releases have it.</summary>
+    private static async Task<byte[][]> Roots() => new[] { await RootData("tree2/collections/default/root.json"), await RootData("flat/collections/default/index.json") };
+
+    private static async Task<byte[]> RootData(string name)
     {
         using (var memory = new MemoryStream())
         {
-            await Fetch($"{Facts.Server}/www/{version}/collections/default/index.json", memory);
+            await Fetch($"{Facts.Server}/www/{name}", memory);
             return memory.ToArray();
         }
+    }
+
+    private static Task<CollectionRoot> Read(byte[] data, IReadOnlyList<byte[]> keys, string collection = "default")
+    {
+        return CollectionRoot.ReadAsync(data, Root, collection, keys);
     }
 
     private static CollectionReader Reader(string folder, string way = "www/v2", Fetch fetch = null)
@@ -363,25 +373,29 @@ public static class PlainTests
 
     public static async Task EveryChangeOfTheTextIsNoticed()
     {
-        var data = await IndexData("v2");
-        var from = Encoding.UTF8.GetString(data).IndexOf("version", StringComparison.Ordinal);
-        for (var place = from; place < data.Length; place += 61)
+        foreach (var data in await Roots())
         {
-            var changed = (byte[])data.Clone();
-            changed[place] ^= 1;
-            var fault = await Expect.Fault(() => CollectionIndex.ReadAsync(changed, "default", Keys));
-            var known = new[] { CaptureFault.SignatureWrong, CaptureFault.CatalogueTruncated, CaptureFault.KeyUnknown };
-            Expect.True(known.Contains(fault.Code), $"{fault.Code} at {place}");
+            var from = Encoding.UTF8.GetString(data).IndexOf("version", StringComparison.Ordinal);
+            for (var place = from; place < data.Length; place += 61)
+            {
+                var changed = (byte[])data.Clone();
+                changed[place] ^= 1;
+                var fault = await Expect.Fault(() => Read(changed, Keys));
+                var known = new[] { CaptureFault.SignatureWrong, CaptureFault.CatalogueTruncated, CaptureFault.KeyUnknown };
+                Expect.True(known.Contains(fault.Code), $"{fault.Code} at {place}");
+            }
         }
     }
 
     public static async Task ACutCatalogueIsRefusedWherever()
     {
-        var data = await IndexData("v2");
-        for (var length = 0; length < data.Length; length += 37)
+        foreach (var data in await Roots())
         {
-            var cut = data.Take(length).ToArray();
-            await Expect.Fault(CaptureFault.CatalogueTruncated, () => CollectionIndex.ReadAsync(cut, "default", Keys));
+            for (var length = 0; length < data.Length; length += 37)
+            {
+                var cut = data.Take(length).ToArray();
+                await Expect.Fault(CaptureFault.CatalogueTruncated, () => Read(cut, Keys));
+            }
         }
     }
 
@@ -389,12 +403,14 @@ public static class PlainTests
     {
         var stranger = new List<byte[]> { new byte[32] };
         var both = stranger.Concat(Keys).ToList();
-        var data = await IndexData("v2");
-        await Expect.Fault(CaptureFault.KeyUnknown, () => CollectionIndex.ReadAsync(data, "default", stranger));
-        await CollectionIndex.ReadAsync(data, "default", both);
+        foreach (var data in await Roots())
+        {
+            await Expect.Fault(CaptureFault.KeyUnknown, () => Read(data, stranger));
+            await Read(data, both);
+            await Expect.Fault(CaptureFault.CatalogueOther, () => Read(data, Keys, "shoes"));
+        }
         var unsigned = Encoding.UTF8.GetBytes("{\"signed\": \"{}\", \"signatures\": []}");
-        await Expect.Fault(CaptureFault.SignatureMissing, () => CollectionIndex.ReadAsync(unsigned, "default", Keys));
-        await Expect.Fault(CaptureFault.CatalogueOther, () => CollectionIndex.ReadAsync(data, "shoes", Keys));
+        await Expect.Fault(CaptureFault.SignatureMissing, () => Read(unsigned, Keys));
     }
 
     public static async Task AnOlderCatalogueIsRefusedHoweverWellSigned()
@@ -415,6 +431,190 @@ public static class PlainTests
         var kept = Path.Combine(folder, "index.default.json");
         File.WriteAllText(kept, File.ReadAllText(kept).Replace("version", "versiom"));
         await Expect.Fault(CaptureFault.SignatureWrong, () => Reader(folder, fetch: NoNetwork).ManifestOf("bowl"));
+    }
+
+    // Trees.
+
+    private static readonly string[] Trees = { "www/tree0", "www/tree1", "www/tree2" };
+
+    private static string NameOf(string url) => url.Substring(url.LastIndexOf('/') + 1);
+
+    /// <summary>What a reader asks the server for.</summary>
+    private static Fetch Noting(List<string> names, Fetch fetch = null)
+    {
+        return (url, into) =>
+        {
+            lock (names) names.Add(NameOf(url).Split('.')[0]);
+            return (fetch ?? Fetch)(url, into);
+        };
+    }
+
+    public static async Task TreesOfAnyDepthHaveTheSameRows()
+    {
+        foreach (var tree in Trees)
+        {
+            var rows = await Reader(Facts.NewFolder(), tree).Rows();
+            Expect.Lines(Facts.All.In("tree_keys").List().Select(each => each.Text()), rows.Select(each => each.Key));
+            Expect.Lines(new[] { "kitchen", "round" }, rows.Single(each => each.Key == "bowl").Labels);
+        }
+    }
+
+    public static async Task AKeyIsFoundInATreeOfAnyDepth()
+    {
+        foreach (var tree in Trees)
+        {
+            var reader = Reader(Facts.NewFolder(), tree);
+            var lods = Facts.All.In("lods").List().Select(each => each.In("sha256").Text());
+            Expect.Lines(lods, (await reader.ManifestOf("bowl")).Lods.Select(each => each.Sha256));
+            foreach (var key in new[] { "0", "a", "a-00001", "bowk", "bowls", "cuq", "zz" })
+            {
+                await Expect.Fault(CaptureFault.AssetUnknown, () => reader.ManifestOf(key));
+            }
+            await Expect.Fault(CaptureFault.AssetRemoved, () => reader.ManifestOf("a-00006"));
+            await reader.Check("bowl", 2, new[] { Sha });
+            await Expect.Fault(CaptureFault.FileNotSigned, () => reader.Check("cup", 1, new[] { Sha }));
+        }
+    }
+
+    public static async Task OfATreeOnlyTheWayIsRead()
+    {
+        var names = new List<string>();
+        var reader = Reader(Facts.NewFolder(), "www/tree2", Noting(names));
+        await reader.ManifestOf("bowl");
+        Expect.Lines(new[] { "root", "node", "node", "shard", "manifest" }, names);
+        await reader.ManifestOf("bowl");
+        Expect.Equal("root", names.Last()); // the rest is on the device
+        names.Clear();
+        var both = await reader.Assets(new[] { "bowl", "cup", "bowl" });
+        Expect.Lines(new[] { "bowl", "cup" }, both.Select(each => each.Row.Key).OrderBy(each => each));
+        Expect.Equal(1, names.Count(each => each == "root"));
+    }
+
+    public static async Task ANodeThatIsMissingLetsItBeginAgainAtTheRoot()
+    {
+        foreach (var missing in new[] { 2, 3 })
+        {
+            var names = new List<string>();
+            var left = missing;
+            Fetch holed = (url, into) =>
+            {
+                if (!NameOf(url).StartsWith("node") || left-- <= 0) return Fetch(url, into);
+                throw new CaptureFault(CaptureFault.FileMissing, "a newer one has come");
+            };
+            var reader = Reader(Facts.NewFolder(), "www/tree2", Noting(names, holed));
+            if (missing == 2) await reader.ManifestOf("bowl");
+            else await Expect.Fault(CaptureFault.FileMissing, () => reader.ManifestOf("bowl"));
+            Expect.Equal(3, names.Count(each => each == "root"));
+        }
+    }
+
+    public static async Task ANodeOfOtherBytesIsRefused()
+    {
+        foreach (var kind in new[] { "node", "shard" })
+        {
+            Fetch flipping = async (url, into) =>
+            {
+                using (var memory = new MemoryStream())
+                {
+                    await Fetch(url, memory);
+                    var data = memory.ToArray();
+                    if (NameOf(url).StartsWith(kind)) data[data.Length / 2] ^= 1;
+                    into.Write(data, 0, data.Length);
+                }
+            };
+            var folder = Facts.NewFolder();
+            await Expect.Fault(CaptureFault.FileChanged, () => Reader(folder, "www/tree2", flipping).ManifestOf("bowl"));
+            await Expect.Fault(CaptureFault.FileChanged, () => Reader(folder, "www/tree2", flipping).Rows());
+            await Reader(folder, "www/tree2").ManifestOf("bowl"); // and not kept
+        }
+    }
+
+    public static async Task AnOlderRootIsRefused()
+    {
+        var folder = Facts.NewFolder();
+        await Reader(folder, "www/tree2").Rows();
+        await Expect.Fault(CaptureFault.CatalogueOlder, () => Reader(folder, "www/older").Rows());
+        await Expect.Fault(CaptureFault.CatalogueOlder, () => Reader(folder, "www/flat").ManifestOf("bowl")); // nor an index of before
+    }
+
+    public static async Task WithoutANetworkTheLastGoodTreeCounts()
+    {
+        var folder = Facts.NewFolder();
+        await Expect.Fault(CaptureFault.Unreachable, () => Reader(folder, "www/tree2", NoNetwork).Rows());
+        var rows = await Reader(folder, "www/tree2").Rows();
+        await Reader(folder, "www/tree2").ManifestOf("bowl");
+        Expect.Lines(rows.Select(each => each.Key), (await Reader(folder, "www/tree2", NoNetwork).Rows()).Select(each => each.Key));
+        await Reader(folder, "www/tree2", NoNetwork).ManifestOf("bowl");
+    }
+
+    public static async Task AStoreOfAnEarlierReleaseIsReadByItsIndex()
+    {
+        var names = new List<string>();
+        Expect.Equal(2, (await Reader(Facts.NewFolder(), "www/flat", Noting(names)).Rows()).Count);
+        Expect.Lines(new[] { "root", "index", "shard" }, names);
+    }
+
+    public static async Task ABucketThatSaysRefusedForMissingIsReadByItsIndex()
+    {
+        Fetch shut = (url, into) =>
+        {
+            if (NameOf(url) == Root) throw new CaptureFault(CaptureFault.AccessRefused, "nobody may list it");
+            return Fetch(url, into);
+        };
+        Expect.Equal(2, (await Reader(Facts.NewFolder(), "www/flat", shut).Rows()).Count);
+    }
+
+    public static async Task OfATreeThatHasGrownOnlyTheChangesAreRead()
+    {
+        var folder = Facts.NewFolder();
+        var reader = Reader(folder, "www/large1");
+        var known = await reader.Assets(new[] { "bowl", "cup", "asset-00007", "asset-00100", "asset-00101", "asset-00200" });
+        Expect.Equal(0, (await reader.Changes(known)).Count);
+        var names = new List<string>();
+        var changes = await Reader(folder, "www/large2", Noting(names)).Changes(known);
+        Expect.Lines(new[] { "root", "node", "node", "node", "shard", "shard", "manifest" }, names.OrderBy(each => "rnsm".IndexOf(each[0])));
+        Expect.Equal(null, changes["asset-00100"]);
+        Expect.Equal(2L, changes["bowl"].Row.Version);
+        foreach (var same in new[] { "cup", "asset-00007", "asset-00101", "asset-00200" })
+        {
+            Expect.Equal(102L, changes[same].CatalogueVersion);
+            Expect.True(changes[same].Manifest == known.Single(each => each.Row.Key == same).Manifest, $"{same} is as it was");
+        }
+    }
+
+    public static async Task WhatIsNoTreeIsRefused()
+    {
+        var sha256 = new string('A', 43);
+        var good = Tree(1, $"[\"{sha256}\", 9, 1, \"a\", \"a\"]");
+        Expect.Equal(1, (await Read(good, new byte[0][])).Children.Count);
+        var bad = new[]
+        {
+            Tree(9, ""), Tree(-1, ""), Tree(1, $"[\"{sha256}\", 0, 1, \"a\", \"a\"]"), Tree(1, $"[\"{sha256}\", 99999999, 1, \"a\", \"a\"]"),
+            Tree(1, $"[\"{sha256}A\", 9, 1, \"a\", \"a\"]"), Tree(1, $"[\"{sha256}\", 9]"), Tree(1, "7"),
+        };
+        foreach (var each in bad) await Expect.Fault(CaptureFault.CatalogueTruncated, () => Read(each, new byte[0][]));
+    }
+
+    private static byte[] Tree(int depth, string child)
+    {
+        var text = $"{{\"collection\": \"default\", \"version\": 1, \"count\": 1, \"depth\": {depth}, \"columns\": "
+            + $"[\"sha256\", \"bytes\", \"count\", \"first\", \"last\"], \"children\": [{child}]}}";
+        return Encoding.UTF8.GetBytes($"{{\"signed\": \"{text.Replace("\"", "\\\"")}\", \"signatures\": []}}");
+    }
+
+    public static async Task AnEmptyTreeHasNoAsset()
+    {
+        Fetch empty = (url, into) =>
+        {
+            var data = Tree(0, "");
+            into.Write(data, 0, data.Length);
+            return Task.CompletedTask;
+        };
+        var folder = Facts.NewFolder();
+        var versions = new Versions(Path.Combine(folder, "versions.txt"));
+        var reader = new CollectionReader("http://nowhere", "default", new byte[0][], folder, Cache(Path.Combine(folder, "files")), versions, empty);
+        Expect.Equal(0, (await reader.Rows()).Count);
+        await Expect.Fault(CaptureFault.AssetUnknown, () => reader.ManifestOf("bowl"));
     }
 
     // Versions.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from capture2vr.storage.catalogue.collection import index_name, read_index
 from capture2vr.storage.catalogue.deletion import delete_asset, delete_everything
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
+from capture2vr.storage.catalogue.reader import read_root
+from capture2vr.storage.catalogue.root import index_name, root_name
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.catalogue.verify import verify
 from capture2vr.storage.memory import MemoryStore
@@ -16,6 +17,7 @@ from tests.storage.catalogue.test_signing import ONE
 from tests.support.bundles import Crash, bundle, listed
 
 SIGNED = Keys(signers=(ONE,))
+STAYS = [index_name("default"), root_name("default")]
 SIGNING = PublishPolicy(SIGNED)
 
 
@@ -66,13 +68,13 @@ def assert_gone(store: Store) -> None:
 def test_all_versions_go_and_the_other_asset_stays() -> None:
     store = two_assets()
     before = {head.name: head.size for head in list_all(store, "")}
-    version = read_index(store.get(index_name("default")), "default", SIGNED.verification_keys).version
+    version = read_root(store, "default", SIGNED.verification_keys).version
     deleted = delete_asset(store, "gown", SIGNED)
     assert_gone(store)
     assert {each.name for each in deleted} >= {name for name in before if name.startswith("assets/gown/")}
     assert all(each.size == before[each.name] for each in deleted if each.name.startswith("assets/"))
     assert all(each.url == store.url(each.name) for each in deleted)
-    assert read_index(store.get(index_name("default")), "default").version > version, "clients must not see it go back"
+    assert read_root(store, "default").version > version, "clients must not see it go back"
     with pytest.raises(FileNotFoundError):
         delete_asset(store, "gown", SIGNED)
 
@@ -101,15 +103,15 @@ def test_a_key_can_be_used_again() -> None:
 
 
 def test_the_rows_of_a_whole_shard(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("capture2vr.storage.catalogue.shards.SHARD_ROWS", 4)
+    monkeypatch.setattr("capture2vr.storage.catalogue.tree.LEAF_ROWS", 4)
     store = MemoryStore()
     keys = ["a", "b", "c", "d", "e"]
     for key in keys:
         publish(bundle(content=key), store, key=key)
-    first, second = read_index(store.get(index_name("default")), "default").shards
+    first, second = read_root(store, "default").parts
     for key in keys[first.count :]:
         delete_asset(store, key)
-    assert [shard.first for shard in read_index(store.get(index_name("default")), "default").shards] == [first.first]
+    assert [shard.first for shard in read_root(store, "default").parts] == [first.first]
     assert sorted(listed(store)) == keys[: first.count]
     publish(bundle(content="f"), store, key=second.first)
     assert sorted(listed(store)) == [*keys[: first.count], second.first]
@@ -127,7 +129,7 @@ def test_everything_of_one_tenant(crash_at: int | None) -> None:
         with pytest.raises(Crash):
             delete_everything(DyingStore(ada, crash_at), SIGNED)  # type: ignore[arg-type]
     deleted, stays = delete_everything(ada, SIGNED)
-    assert stays == [index_name("default")] == [head.name for head in list_all(ada, "")]
+    assert stays == STAYS == [head.name for head in list_all(ada, "")]
     assert listed(ada, believed=SIGNED.verification_keys) == {}
     assert traces(ada, "gown") == []
     assert [head.name for head in list_all(bob, "")] == before["bob"]
@@ -135,17 +137,17 @@ def test_everything_of_one_tenant(crash_at: int | None) -> None:
         assert {each.name for each in deleted} >= {"captures/cap_1.zip", "catalog/gown.json"}
     deleted, _ = delete_everything(whole, SIGNED)
     assert [head.name for head in list_all(bob, "")] == before["bob"], "the default tenant's store holds the others"
-    assert delete_everything(ada, SIGNED) == ([], [index_name("default")])
+    assert delete_everything(ada, SIGNED) == ([], STAYS)
 
 
 def test_everything_goes_where_the_catalogue_is_damaged() -> None:
     store = MemoryStore()
     publish(bundle(), store, key="gown", policy=SIGNING)
-    for name in ("catalog/gown.json", index_name("default")):
+    for name in ("catalog/gown.json", *STAYS):
         store.put(name, b"{", content_type="application/json")
     delete_everything(store, SIGNED)
     assert listed(store, believed=SIGNED.verification_keys) == {}
-    assert [head.name for head in list_all(store, "")] == [index_name("default")]
+    assert [head.name for head in list_all(store, "")] == STAYS
 
 
 def test_a_signed_collection_is_not_emptied_without_the_key() -> None:

@@ -8,15 +8,15 @@ from dataclasses import replace
 import pytest
 
 from capture2vr.storage.bundle import Bundle, State, sha256_hex
-from capture2vr.storage.catalogue.collection import index_name, read_index, read_shard, row_of, shard_data
+from capture2vr.storage.catalogue.change_entry import change_names, remove
+from capture2vr.storage.catalogue.collection import read_shard, row_of, shard_data
 from capture2vr.storage.catalogue.entry import Entry, alias_name, read_entry
-from capture2vr.storage.catalogue.names_update import change_names
 from capture2vr.storage.catalogue.notes_update import add_note
 from capture2vr.storage.catalogue.proof import check_proof
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
-from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.reader import read_root
+from capture2vr.storage.catalogue.root import root_name
 from capture2vr.storage.catalogue.signing import Keys
-from capture2vr.storage.catalogue.unity_update import rebuild_unity_catalogues
 from capture2vr.storage.catalogue.update import rebuild
 from capture2vr.storage.catalogue.versions import read_version, restore_version
 from capture2vr.storage.memory import MemoryStore
@@ -53,7 +53,7 @@ def test_the_first_version_of_a_key_is_there_for_its_owner_alone() -> None:
     assert (listed(store), in_unity(store)) == ({}, {})
     assert not [head.name for head in list_all(store, "alias/")]
     rebuild(store, "default")
-    rebuild_unity_catalogues(store, "default")
+    rebuild(store, "default")
     assert (listed(store), in_unity(store)) == ({}, {}), "nor does a catalogue that is written anew list it"
 
 
@@ -139,7 +139,7 @@ def test_a_crash_at_any_put_leaves_what_was_served_and_the_next_run_completes_it
             except Crash:
                 has_crashed = True
             served = {"dress": 1} if earlier else {}
-            has_index = any(index_name("default") == head.name for head in list_all(store, "collections/"))
+            has_index = any(root_name("default") == head.name for head in list_all(store, "collections/"))
             assert {row.key: row.version for row in (listed(store) if has_index else {}).values()} == served
             publish(bad, store, key="dress", job="job_2")
             assert {row.key: row.version for row in listed(store).values()} == served
@@ -153,8 +153,8 @@ def test_entries_and_shards_of_before_have_no_grade() -> None:
     entry = read_entry(store, "dress")
     old = Entry("dress", "", {name: value for name, value in entry.document.items() if name != "grade"})
     assert (old.grade, old.held, row_of(old).grade) == ("", False, "")
-    shard = read_index(store.get(index_name("default")), "default").shards[0]
-    document = json.loads(shard_data([row_of(old)], 1))
+    shard = read_root(store, "default").parts[0]
+    document = json.loads(shard_data([row_of(old)], "1"))
     place = document["columns"].index("grade")
     cells = [[cell for number, cell in enumerate(row) if number != place] for row in document["rows"]]
     columns = [each for each in document["columns"] if each != "grade"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from capture2vr.order.asset_names import AssetNames
+from capture2vr.storage.catalogue.change_entry import change_names
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.names_update import change_names
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.signing import Keys
 from capture2vr.storage.memory import MemoryStore

@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from capture2vr.storage.catalogue.asset_notes import MOST_NOTES, Note, NoteRefused, carry
-from capture2vr.storage.catalogue.change_entry import change_entry
+from capture2vr.storage.catalogue.change_entry import change_entry, change_names
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.names_update import change_names
 from capture2vr.storage.catalogue.notes_update import UnknownNote, add_note, change_note, remove_note
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.catalogue.signing import NO_KEYS

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from capture2vr.storage.catalogue.collection import Index, Row, Shard, describe_shard
+from capture2vr.storage.catalogue.collection import Row, Shard, describe_shard
 from capture2vr.storage.catalogue.faults import SHARD_CHANGED, SHARD_MISSING, CatalogueFault
-from capture2vr.storage.catalogue.reader import collection_names, find_row, retry_if_shard_missing
+from capture2vr.storage.catalogue.reader import TreeParts, collection_names, find_row, retry_if_shard_missing
+from capture2vr.storage.catalogue.root import Index
 from capture2vr.storage.store import Store
 
 KEYS = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,8}", fullmatch=True)
@@ -42,7 +43,7 @@ def test_a_row_is_found_wherever_the_shards_were_split(keys: set[str], others: l
 
     for key in (*keys, *others):
         asked.clear()
-        found = find_row(index, key, rows_of)
+        found = find_row(index, key, TreeParts(rows_of, lambda _, node: pytest.fail(f"there is no node {node}")))
         assert (found is not None) == (key in keys)
         assert len(asked) <= 1, "a client loads one shard, not all"
         if found:

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
+from capture2vr.storage.catalogue.change_entry import remove, restore
 from capture2vr.storage.catalogue.entry import entry_name, read_entry
 from capture2vr.storage.catalogue.publish import publish
-from capture2vr.storage.catalogue.removal import remove, restore
-from capture2vr.storage.catalogue.unity_update import update_unity_catalogues
+from capture2vr.storage.catalogue.update import update_collections
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import NO_CACHE
 from capture2vr.storage.unity.json_reader import read_json_catalogue
@@ -90,7 +90,7 @@ def test_a_damaged_catalogue_is_made_anew_from_the_entries(store: MemoryStore, d
     publish(bundle("preview"), store, key="dress")
     publish(bundle("preview"), store, key="chair")
     store.put(catalogue_names("default")[0].catalogue, damage, content_type="application/json", cache_control=NO_CACHE)
-    update_unity_catalogues(store, "dress")
+    update_collections(store, "dress")
     assert set(listed(store)) == {"chair", "dress"}
 
 
@@ -99,7 +99,7 @@ def test_what_was_lost_behind_the_table_is_written_again(store: MemoryStore) -> 
     for names in catalogue_names("default")[1:]:
         store.delete(names.catalogue)
         store.delete(names.hash)
-    update_unity_catalogues(store, "dress")
+    update_collections(store, "dress")
     assert set(listed(store)) == {"dress"}
 
 
@@ -108,5 +108,5 @@ def test_an_asset_that_unity_would_misread_keeps_nobody_from_publishing(store: M
     document = {**read_entry(store, "dress").document, "labels": list(map(str, range(101)))}
     store.put(entry_name("dress"), json.dumps(document).encode(), content_type="application/json")
     publish(bundle("preview"), store, key="chair")
-    update_unity_catalogues(store, "dress")
+    update_collections(store, "dress")
     assert set(listed(store)) == {"chair"}

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from capture2vr.storage.catalogue.collection import index_name, read_index
+from capture2vr.storage.catalogue.change_entry import remove
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.faults import (
     CATALOGUE_MISSING,
@@ -21,7 +21,8 @@ from capture2vr.storage.catalogue.faults import (
     SIGNATURE_WRONG,
 )
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
-from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.reader import read_root
+from capture2vr.storage.catalogue.root import root_name
 from capture2vr.storage.catalogue.signing import Keys, PublicKey
 from capture2vr.storage.catalogue.verify import CheckResult, fetch_from, verify
 from capture2vr.storage.memory import MemoryStore
@@ -29,7 +30,7 @@ from capture2vr.storage.store import Store
 from tests.storage.catalogue.test_signing import ONE, TWO
 from tests.support.bundles import bundle, listed
 
-INDEX = index_name("default")
+ROOT = root_name("default")
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def checked(store: Store, *believed: PublicKey, at_least: int = 0) -> list[Check
 def test_a_whole_collection_is_counted_to_the_last_byte(whole: MemoryStore) -> None:
     lines = checked(whole, at_least=3)
     assert [(line.kind, line.count, line.faults) for line in lines] == [
-        ("index", 1, ()),
+        ("root", 1, ()),
         ("shards", 1, ()),
         ("manifests", 2, ()),
         ("files", 8, ()),
@@ -73,7 +74,7 @@ def _manifest(store: Store) -> str:
 
 
 def _shard(store: Store) -> str:
-    return read_index(store.get(INDEX), "default").shards[0].name
+    return read_root(store, "default").parts[0].name
 
 
 @pytest.mark.parametrize(
@@ -103,11 +104,11 @@ def assert_only(lines: list[CheckResult], what: str, code: str, name: str) -> No
 
 
 def test_an_index_that_is_not_believed_ends_it(whole: MemoryStore) -> None:
-    assert_only(checked(whole, TWO.public), "index", KEY_UNKNOWN, INDEX)
-    assert_only(checked(whole, at_least=4), "index", CATALOGUE_OLDER, INDEX)
-    whole.put(INDEX, whole.get(INDEX).replace(b"version", b"Version"), content_type="x/y")
-    assert_only(checked(whole), "index", SIGNATURE_WRONG, INDEX)
-    assert_only(checked(MemoryStore()), "index", CATALOGUE_MISSING, INDEX)
+    assert_only(checked(whole, TWO.public), "root", KEY_UNKNOWN, ROOT)
+    assert_only(checked(whole, at_least=4), "root", CATALOGUE_OLDER, ROOT)
+    whole.put(ROOT, whole.get(ROOT).replace(b"version", b"Version"), content_type="x/y")
+    assert_only(checked(whole), "root", SIGNATURE_WRONG, ROOT)
+    assert_only(checked(MemoryStore()), "root", CATALOGUE_MISSING, ROOT)
 
 
 def test_another_assets_manifest_is_no_substitute(whole: MemoryStore) -> None:

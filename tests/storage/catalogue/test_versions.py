@@ -6,12 +6,11 @@ import json
 
 import pytest
 
+from capture2vr.storage.catalogue.change_entry import change_names, remove
 from capture2vr.storage.catalogue.entry import alias_name, read_entry
 from capture2vr.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
-from capture2vr.storage.catalogue.names_update import change_names
 from capture2vr.storage.catalogue.proof import check_proof
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
-from capture2vr.storage.catalogue.removal import remove
 from capture2vr.storage.catalogue.signing import Keys
 from capture2vr.storage.catalogue.versions import UnknownVersion, read_version, restore_version
 from capture2vr.storage.memory import MemoryStore

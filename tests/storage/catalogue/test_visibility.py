@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from capture2vr.storage.catalogue.collection import index_name, read_index
+from capture2vr.storage.catalogue.change_entry import remove, restore, set_asset_visibility
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
-from capture2vr.storage.catalogue.removal import remove, restore
+from capture2vr.storage.catalogue.reader import read_root
 from capture2vr.storage.catalogue.signing import Keys, Signature, check_signatures
-from capture2vr.storage.catalogue.update import rebuild
+from capture2vr.storage.catalogue.update import rebuild, set_collection_visibility
 from capture2vr.storage.catalogue.visibility import Visibility, effective, lists, parse_visibility
-from capture2vr.storage.catalogue.visibility_update import set_asset_visibility, set_collection_visibility
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import list_all
 from capture2vr.storage.unity.json_reader import read_json_catalogue
@@ -51,7 +50,7 @@ def test_a_tenants_own_list_has_everything_and_one_for_others_what_is_public(sto
     for visibility, keys in ((PUBLIC, {"dress", "cup"}), (UNLISTED, {"dress", "cup"}), (PRIVATE, everything)):
         index = set_collection_visibility(store, "default", visibility, SIGNED)
         assert index.visibility is visibility
-        assert read_index(store.get(index_name("default")), "default", SIGNED.verification_keys) == index
+        assert read_root(store, "default", SIGNED.verification_keys) == index
         assert set(listed(store)) == in_unity(store) == keys
     assert set_collection_visibility(store, "default", PRIVATE, SIGNED) == index, "nothing has changed"
 
@@ -75,7 +74,7 @@ def test_an_asset_leaves_a_public_list_and_comes_back(store: MemoryStore) -> Non
 
 def test_nothing_leads_from_a_public_list_to_what_it_was_before(store: MemoryStore) -> None:
     set_collection_visibility(store, "default", PUBLIC, SIGNED)
-    assert read_index(store.get(index_name("default")), "default").retired == ()
+    assert read_root(store, "default").retired == ()
     objects = b"".join(store.get(head.name) for head in list_all(store, "collections/"))
     assert b"cup" in objects
     assert b"letter" not in objects
@@ -89,7 +88,7 @@ def test_nothing_leads_from_a_public_list_to_what_has_left_it(store: MemoryStore
         set_asset_visibility(store, "room", own, SIGNED)
         assert b"bedroom" not in b"".join(store.get(head.name) for head in list_all(store, "collections/default/shard"))
         assert set(listed(store, believed=SIGNED.verification_keys)) == {"dress", "cup"}
-        assert read_index(store.get(index_name("default")), "default").retired == ()
+        assert read_root(store, "default").retired == ()
 
 
 def test_a_job_decides_once_and_its_owner_ever_after() -> None:

@@ -96,9 +96,9 @@ def _pieces(body: bytes) -> Iterator[bytes]:
 
 
 @contextmanager
-def serving(root: Path) -> Iterator[str]:
+def serving(root: Path, site: Site | None = None) -> Iterator[str]:
     """The address of a running site."""
-    site = Site(root)
+    site = site or Site(root)
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:

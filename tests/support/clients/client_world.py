@@ -12,9 +12,9 @@ damaged/             v2 whose Unity catalogue is none
 from __future__ import annotations
 
 import base64
-import json
 import shutil
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,28 +24,27 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.change_entry import remove
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
-from capture2vr.storage.catalogue.removal import remove
 from capture2vr.storage.catalogue.signing import Keys, Signer, public_key
 from capture2vr.storage.local import LocalStore
-from capture2vr.storage.unity.json_reader import read_json_catalogue
-from capture2vr.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER, Listing
 from capture2vr.storage.unity.locations import parse_assets
 from capture2vr.storage.unity.nouns import Asset, Catalogue, LodFile
-from capture2vr.storage.unity.publication import catalogue_files, catalogue_names
+from capture2vr.storage.unity.publication import catalogue_files
+from tests.support.clients.unity_tables import TABLE, tabulate
 
 
-def build(root: Path) -> dict[str, Any]:
-    """Publish everything below `root`; the facts that the tests compare with."""
-    private = Ed25519PrivateKey.generate()
+def build(root: Path, private: Ed25519PrivateKey | None = None) -> dict[str, Any]:
+    """Publish everything below `root`, signed by a key; the facts that the tests compare with."""
+    private = private or Ed25519PrivateKey.generate()
     signer = Signer(public_key(private.public_key().public_bytes_raw()), private)
     keys = Keys((signer,))
     store = LocalStore(root / "store")
-    publish(_bundle(0.1), store, key="cup", policy=PublishPolicy(keys))
-    publish(_bundle(0.5, picture=b"\x89PNG one"), store, key="bowl", policy=PublishPolicy(keys))
+    publish(bowl_bundle(0.1), store, key="cup", policy=PublishPolicy(keys))
+    publish(bowl_bundle(0.5, picture=b"\x89PNG one"), store, key="bowl", policy=PublishPolicy(keys))
     _snapshot(store, root / "v1")
-    publish(_bundle(0.6, picture=b"\x89PNG two"), store, key="bowl", policy=PublishPolicy(keys))
+    publish(bowl_bundle(0.6, picture=b"\x89PNG two"), store, key="bowl", policy=PublishPolicy(keys))
     _snapshot(store, root / "v2")
     lods = read_entry(store, "bowl").document["lods"]
     remove(store, "bowl", keys)
@@ -55,12 +54,12 @@ def build(root: Path) -> dict[str, Any]:
     return {"key": base64.b64encode(signer.public.raw).decode(), "lods": lods, "signatures": signatures}
 
 
-def _bundle(radius_m: float, picture: bytes = b"") -> Bundle:
+def bowl_bundle(radius_m: float, picture: bytes = b"", labels: Sequence[str] = ("kitchen", "round")) -> Bundle:
     """A bowl on the floor, three levels of it; its preview's bytes need be no picture, since no engine reads them."""
     levels = {f"lod{level}.glb": to_glb(_bowl(radius_m, 48 >> level), "meshopt") for level in range(3)}
     lods = [{"file": name, "level": level} for level, name in enumerate(levels)]
     size = [2 * radius_m, radius_m, 2 * radius_m]
-    names = {"label": "Bowl", "labels": ["kitchen", "round"]}
+    names = {"label": "Bowl", "labels": list(labels)}
     files = {**levels, **({"preview.png": picture} if picture else {})}
     manifest = {**names, "lods": lods, "scale_confidence": "metric", "size_m": size}
     return Bundle(state="preview", files=files, manifest=manifest)
@@ -80,13 +79,13 @@ def _bowl(radius_m: float, steps: int) -> Mesh:
 
 def _snapshot(store: LocalStore, folder: Path) -> None:
     shutil.copytree(store.root, folder, ignore=shutil.ignore_patterns(".*"))
-    _tabulate(folder)
+    tabulate(folder)
 
 
 def _variants(root: Path) -> None:
     for name in ("forged", "inflated", "spoilt", "partly", "flawed", "damaged"):
         shutil.copytree(root / "v2", root / name)
-    bowl, cup = parse_assets(_tabulate(root / "v2"))
+    bowl, cup = parse_assets(tabulate(root / "v2"))
     _replace(root / "forged", replace(bowl, version=3, files=cup.files), replace(cup, files=bowl.files))
     _replace(root / "inflated", replace(bowl, version=900), cup)
     _replace(root / "spoilt", replace(bowl, version=3, files=tuple(map(_renamed, bowl.files))), cup)
@@ -95,7 +94,7 @@ def _variants(root: Path) -> None:
     (root / "partly" / bowl.files[0].url).unlink()
     finest = root / "flawed" / bowl.files[0].url
     finest.write_bytes(finest.read_bytes()[:-1] + b"?")
-    (root / "damaged" / _table_of("default")).write_text("{")
+    (root / "damaged" / TABLE).write_text("{")
 
 
 def _renamed(file: LodFile) -> LodFile:
@@ -108,19 +107,7 @@ def _replace(folder: Path, *listed: Asset) -> None:
     """The Unity catalogues of a folder by others."""
     for name, data in catalogue_files(Catalogue("default", listed), "default"):
         (folder / name).write_bytes(data)
-    _tabulate(folder)
-
-
-def _tabulate(folder: Path) -> Listing:
-    """The table that the Unity catalogues hold, written beside them for a stub that reads none of their forms."""
-    listing = read_json_catalogue((folder / catalogue_names("default")[0].catalogue).read_bytes())
-    providers = [asdict(FILE_PROVIDER), asdict(PREFAB_PROVIDER)]
-    (folder / _table_of("default")).write_text(json.dumps(asdict(listing) | {"providers": providers}))
-    return listing
-
-
-def _table_of(collection: str) -> str:
-    return catalogue_names(collection)[0].catalogue + ".table"
+    tabulate(folder)
 
 
 def _signatures(private: Ed25519PrivateKey) -> list[dict[str, Any]]:

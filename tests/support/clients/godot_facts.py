@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,12 @@ from numpy.typing import NDArray
 from capture2vr.edge.convert.read_glb import read_glb
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
+from tests.support.clients.catalogue_tree import RECORD, Tree, TreeWriter, hexadecimal, row, rows_in
 from tests.support.clients.client_world import build
 from tests.support.downloadable import SHEET, coloured, textured
 
-_INDEX = "collections/default/index.json"
+_BELOW = "collections/default"
+_SIGNED = {"index.json", "root.json"}
 _BROKEN = {"cut_off": -9, "empty": 0}  # bytes that are left of the index
 
 
@@ -28,12 +31,14 @@ def facts(root: Path, project: Path) -> dict[str, Any]:
     """Publish everything below `root`, put files to import into `project`; the facts that the tests compare with."""
     told = build(root)
     _catalogues(root)
+    trees = _trees(root)
     files = list(_files(project))
     imported = [{**file, "path": f"res://imported/{Path(file['path']).name}"} for file in files]
     spoilt = [{"name": name, "file": _base64(data)} for name, data in _spoilt().items()]
     broken = [*_BROKEN, "no_json", "numbers"]
     return {
         **told,
+        "trees": trees,
         "files": files,
         "imported": imported,
         "spoilt": spoilt,
@@ -43,24 +48,76 @@ def facts(root: Path, project: Path) -> dict[str, Any]:
 
 
 def _catalogues(root: Path) -> None:
-    """Copies of v2 with an index that is not to be taken."""
-    whole = (root / "v2" / _INDEX).read_bytes()
-    envelope = json.loads(whole)
-    signed = envelope["signed"].replace('"version"', '"version" ')  # the same JSON, and another text
-    altered = {**envelope, "signed": signed}
-    indices = {
-        "altered": json.dumps(altered).encode(),
-        "unsigned": json.dumps({**envelope, "signatures": []}).encode(),
-        "no_json": b"<html>",
-        "numbers": json.dumps({"signed": 1, "signatures": 2}).encode(),
-        **{name: whole[:left] for name, left in _BROKEN.items()},
-    }
-    for name, index in indices.items():
+    """Copies of v2 with a root or an index that is not to be taken."""
+    for name in ("altered", "unsigned", "no_json", "numbers", *_BROKEN):
         shutil.copytree(root / "v2", root / name)
-        (root / name / _INDEX).write_bytes(index)
+    for told in _SIGNED.intersection(file.name for file in (root / "v2" / _BELOW).iterdir()):
+        whole = (root / "v2" / _BELOW / told).read_bytes()
+        envelope = json.loads(whole)
+        signed = envelope["signed"].replace('"version"', '"version" ')  # the same JSON, and another text
+        altered = {**envelope, "signed": signed}
+        spoilt = {
+            "altered": json.dumps(altered).encode(),
+            "unsigned": json.dumps({**envelope, "signatures": []}).encode(),
+            "no_json": b"<html>",
+            "numbers": json.dumps({"signed": 1, "signatures": 2}).encode(),
+            **{name: whole[:left] for name, left in _BROKEN.items()},
+        }
+        for name, data in spoilt.items():
+            (root / name / _BELOW / told).write_bytes(data)
     swapped = root / "swapped"
     shutil.copytree(root / "v2", swapped)
-    shutil.copytree(swapped / "collections" / "default", swapped / "collections" / "other")
+    shutil.copytree(swapped / _BELOW, swapped / "collections" / "other")
+
+
+def _trees(root: Path) -> dict[str, Any]:
+    """Copies of v2 with trees that list further assets too: of each depth, newer, with something gone or changed."""
+    writer = TreeWriter()
+    listed = rows_in(root / "v2")
+    more = [row(f"c{place:03}", labels=["filler"]) for place in range(40)]  # between bowl and cup
+    told: dict[str, Any] = {"key": writer.public_key}
+    for depth, count in enumerate((0, 20, 40)):
+        tree = writer.write(_sorted(listed + more[:count]))
+        _copy_with(root, f"tree{depth}", tree)
+        keys = sorted(tree.shard_of)
+        told[f"tree{depth}"] = {"keys": keys, "path": tree.path_to("cup"), "files": sorted(tree.files)}
+    path = tree.path_to("cup")
+    for level, name in enumerate(path):
+        _copy_with(root, f"tree_without_{level}", tree).joinpath(name).unlink()
+        for spoilt, data in {
+            "changed": tree.files[name].replace(b'"c0', b'"b0'),
+            "longer": tree.files[name] + b" ",
+        }.items():
+            _copy_with(root, f"tree_{spoilt}_{level}", tree).joinpath(name).write_bytes(data)
+    newer = replace(writer, version=2, commit="two")
+    _copy_with(root, "tree_newer", newer.write(_sorted(listed + more)))
+    _copy_with(root, "tree_too_deep", writer.write(more, depth=9))
+    _copy_with(root, "tree_too_large", writer.write(more, children=[["A" * 43, 2**24 + 1, 1, "a", "z"]]))
+    _copy_with(root, "tree_outside", writer.write(more, children=[["../" + "A" * 40, 9, 1, "a", "z"]]))
+    _flat(root, writer, listed)
+    return told
+
+
+def _flat(root: Path, writer: TreeWriter, listed: list[dict[str, Any]]) -> None:
+    """A store from before there were trees, and one that keeps only a stub of its index."""
+    tree = writer.write(_sorted(listed))
+    shards = [
+        {**dict(zip(RECORD, child, strict=True)), "sha256": hexadecimal(child[0])}
+        for child in json.loads(json.loads(tree.files.pop(tree.name("root.json")))["signed"])["children"]
+    ]
+    index = {"schema": 1, "collection": "default", "version": 1}
+    for name, signed in {"flat": {**index, "shards": shards}, "stub": {**index, "schema": 2}}.items():
+        _copy_with(root, name, tree).joinpath(_BELOW, "index.json").write_bytes(writer.envelope(signed))
+
+
+def _sorted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return sorted(rows, key=lambda each: str(each["key"]))
+
+
+def _copy_with(root: Path, name: str, tree: Tree) -> Path:
+    shutil.copytree(root / "v2", root / name)
+    tree.write_to(root / name)
+    return root / name
 
 
 def _files(project: Path) -> Iterator[dict[str, Any]]:

@@ -6,12 +6,14 @@ extends Node
 ## Functions that load must be awaited, and return a [CaptureFault] where they fail.
 
 const CollectionIndex := preload("collection_index.gd")
+const CollectionRows := preload("collection_rows.gd")
 const Fetcher := preload("fetcher.gd")
 const FileCache := preload("file_cache.gd")
 const SeenVersions := preload("seen_versions.gd")
 
 const FOLDER := "user://capture2vr"
 const INDEX_BYTES := 4 << 20
+const TRIES := 3  # a shard or a node goes when enough newer ones have come; the root of this moment names others
 
 ## Where the objects are: the "base" that GET /v1/collections/NAME of the gateway tells.
 @export var base_url := ""
@@ -29,7 +31,6 @@ var _fetch: Fetcher
 var _seen: SeenVersions
 var _kept: String
 var _index: CollectionIndex
-var _rows := {}
 var _working := false
 signal _worked
 
@@ -40,8 +41,8 @@ func _enter_tree() -> void:
 		add_child(_fetch)
 
 
-## Read the catalogue, so that its assets can be shown; one that is open is looked through for newer versions. Without a
-## network, the last one that was good. Null, or the CaptureFault.
+## Read the root of the catalogue, so that its assets can be found; one that is open gets the newest. Without a network, the
+## last one that was good. Null, or the CaptureFault.
 func open() -> CaptureFault:
 	if _fetch == null:
 		var what := "collection %s is not in the scene tree" % collection
@@ -50,33 +51,37 @@ func open() -> CaptureFault:
 		await _worked
 	_working = true
 	_prepare()
-	var fault := await _read()
+	var index: Variant = await _newest_index()
+	if not index is CaptureFault:
+		_index = index
 	_working = false
 	_worked.emit()
-	return fault
+	return index if index is CaptureFault else null
 
 
 func is_open() -> bool:
 	return _index != null
 
 
-## Keys of the assets, sorted; those that bear a label where one is given.
-func keys(label := "") -> PackedStringArray:
+## Keys of all assets, sorted, in a PackedStringArray, or a CaptureFault; those that bear a label where one is given.
+func keys(label := "") -> Variant:
+	var listed: Variant = await rows()
+	if listed is CaptureFault:
+		return listed
 	var found := PackedStringArray()
-	for row in rows():
+	for row: CaptureRow in listed:
 		if label.is_empty() or label in row.labels:
 			found.append(row.key)
 	return found
 
 
-## The assets for people to choose from, in the order of their keys.
-func rows() -> Array[CaptureRow]:
-	var found: Array[CaptureRow] = []
-	for row: CaptureRow in _rows.values():
-		if not row.removed:
-			found.append(row)
-	found.sort_custom(func(one: CaptureRow, other: CaptureRow) -> bool: return one.key < other.key)
-	return found
+## The assets for people to choose from, in the order of their keys: an Array of CaptureRow, or a CaptureFault. after: those
+## behind this key; most: so many, -1 for all. A page of a large collection costs no more than one of a small one.
+func rows(after := "", most := -1) -> Variant:
+	var reader := _reader()
+	return await _of_newest(
+		func(index: CollectionIndex) -> Variant: return await reader.list(index, after, most)
+	)
 
 
 ## The picture of an asset, four sides of it, the front at the top left: an Image, null where it has none, or a CaptureFault.
@@ -92,22 +97,27 @@ func preview(row: CaptureRow) -> Variant:
 	return image
 
 
-## The row of an asset, or a CaptureFault ASSET_UNKNOWN, ASSET_REMOVED or COLLECTION_CLOSED.
+## The row of an asset, or a CaptureFault: ASSET_UNKNOWN, ASSET_REMOVED, COLLECTION_CLOSED, or why it cannot be read.
 func row_of(key: String) -> Variant:
-	if _index == null:
-		var what := "collection %s is not open" % collection
-		return CaptureFault.new(CaptureFault.COLLECTION_CLOSED, what, "Call open() first")
-	if not _rows.has(key):
+	var reader := _reader()
+	var row: Variant = await _of_newest(
+		func(index: CollectionIndex) -> Variant: return await reader.find(index, key)
+	)
+	if row is CaptureFault:
+		return row
+	if row == null:
 		return CaptureFault.new(CaptureFault.ASSET_UNKNOWN, "collection %s has no asset %s" % [collection, key])
-	var row: CaptureRow = _rows[key]
 	return CaptureFault.new(CaptureFault.ASSET_REMOVED, "asset %s was removed" % key) if row.removed else row
 
 
 ## The levels of detail of an asset's current version, the finest first, or a CaptureFault.
 func levels(key: String) -> Variant:
-	var row: Variant = row_of(key)
-	if row is CaptureFault:
-		return row
+	var row: Variant = await row_of(key)
+	return row if row is CaptureFault else await levels_of(row)
+
+
+## The levels of detail of the version that a row has, or a CaptureFault.
+func levels_of(row: CaptureRow) -> Variant:
 	var data: Variant = await _content(row.manifest_name(), row.manifest_sha256, -1)
 	return data if data is CaptureFault else CollectionIndex.levels(data, row.manifest_name())
 
@@ -180,50 +190,55 @@ func _prepare() -> void:
 		_seen = SeenVersions.new(folder.path_join("versions.txt"))
 
 
-## The newest catalogue. A shard goes when enough newer ones have come; the index of this moment knows another.
-func _read() -> CaptureFault:
-	var fault := await _read_once()
-	if fault != null and fault.code == CaptureFault.FILE_MISSING and _index != null:
-		fault = await _read_once()
-	return fault
+## What a function finds in the catalogue, or a CaptureFault; it begins again at the newest root where a part has gone.
+func _of_newest(work: Callable) -> Variant:
+	var found: Variant = null
+	for attempt in TRIES:
+		if _index == null:
+			var what := "collection %s is not open" % collection
+			return CaptureFault.new(CaptureFault.COLLECTION_CLOSED, what, "Call open() first")
+		found = await work.call(_index)
+		if not (found is CaptureFault and found.code == CaptureFault.FILE_MISSING):
+			return found
+		if attempt < TRIES - 1:
+			var fault := await open()
+			if fault != null:
+				return fault
+	return found
 
 
-func _read_once() -> CaptureFault:
-	var index: Variant = await _newest_index()
-	if index is CaptureFault:
-		return index
-	var found := {}
-	for shard: CollectionIndex.Shard in index.shards:
-		var data: Variant = await _content(shard.object_name, shard.sha256, shard.bytes)
-		var rows_of_shard: Variant = data if data is CaptureFault else CollectionIndex.rows(data, shard)
-		if rows_of_shard is CaptureFault:
-			return rows_of_shard
-		found.merge(rows_of_shard)
-	_index = index
-	_rows = found
-	return null
+func _reader() -> CollectionRows:
+	return CollectionRows.new(
+		collection,
+		_fetch,
+		func(part: CollectionIndex.Part) -> Variant: return await _content(part.object_name, part.sha256, part.bytes)
+	)
 
 
 ## From the network; without one the last that was good, which is checked just the same.
 func _newest_index() -> Variant:
-	var url := "%s/%s" % [_base(), CollectionIndex.object_name(collection)]
-	var data: Variant = await _fetch.to_bytes(url, INDEX_BYTES)
+	var object_name := CollectionIndex.root_name(collection)
+	var data: Variant = await _fetch.to_bytes("%s/%s" % [_base(), object_name], INDEX_BYTES)
+	# A bucket that does not let others list it refuses what it does not have.
+	if data is CaptureFault and data.code in [CaptureFault.FILE_MISSING, CaptureFault.ACCESS_REFUSED]:
+		object_name = CollectionIndex.index_name(collection)
+		data = await _fetch.to_bytes("%s/%s" % [_base(), object_name], INDEX_BYTES)
 	if not data is CaptureFault:
-		var index: Variant = await _accepted(data)
+		var index: Variant = await _accepted(data, object_name)
 		if not index is CaptureFault:
 			_keep(data)
 		return index
 	if data.code == CaptureFault.UNREACHABLE and FileAccess.file_exists(_kept):
-		return await _accepted(FileAccess.get_file_as_bytes(_kept))
+		return await _accepted(FileAccess.get_file_as_bytes(_kept), object_name)
 	return data
 
 
 ## Signature before version: what nobody signed must not count as seen.
-func _accepted(data: PackedByteArray) -> Variant:
+func _accepted(data: PackedByteArray, object_name: String) -> Variant:
 	var believed: Array[PackedByteArray] = []
 	for key in public_keys:
 		believed.append(Marshalls.base64_to_raw(key))
-	var index: Variant = await _fetch.in_background(CollectionIndex.read.bind(data, collection, believed))
+	var index: Variant = await _fetch.in_background(CollectionIndex.read.bind(data, object_name, collection, believed))
 	if index is CaptureFault:
 		return index
 	var older := _seen.check("collection " + collection, index.version)

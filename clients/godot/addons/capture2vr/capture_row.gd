@@ -16,13 +16,17 @@ var preview_sha256: String
 
 ## The row of these cells, or null where they are none.
 static func of(columns: Array, words: Array, cells: Variant) -> CaptureRow:
-	if not cells is Array or cells.size() != columns.size():
-		return null
-	var told := {}
-	for place in columns.size():
-		told[columns[place]] = cells[place]
 	var row := new()
-	return row if row._take(told, words) else null
+	return row if row._take(cells_by_name(columns, cells), words) else null
+
+
+## Cells by the names of their columns; empty where there are not as many.
+static func cells_by_name(columns: Array, cells: Variant) -> Dictionary:
+	var told := {}
+	if cells is Array and cells.size() == columns.size():
+		for place in columns.size():
+			told[columns[place]] = cells[place]
+	return told
 
 
 func manifest_name() -> String:
@@ -45,8 +49,8 @@ func _take(told: Dictionary, words: Array) -> bool:
 	removed = _word(words, told.get("state")) == "removed"
 	for place: Variant in told["labels"]:
 		labels.append(_word(words, place))
-	manifest_sha256 = _hash(told["manifest"])
-	preview_sha256 = _hash(told["preview"])
+	manifest_sha256 = hexadecimal(told["manifest"])
+	preview_sha256 = hexadecimal(told["preview"])
 	return manifest_sha256.length() == 64 and preview_sha256.length() in [0, 64]
 
 
@@ -55,7 +59,7 @@ static func _word(words: Array, place: Variant) -> String:
 
 
 ## From base64url without padding, as rows have hashes, to hexadecimal, as names have them.
-static func _hash(text: String) -> String:
+static func hexadecimal(text: String) -> String:
 	if text.is_empty():
 		return ""
 	var padded := text.replace("-", "+").replace("_", "/") + "=".repeat(posmod(-text.length(), 4))

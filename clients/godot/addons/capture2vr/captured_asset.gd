@@ -142,7 +142,7 @@ func _take(turn: int, for_newer: bool) -> CaptureFault:
 		var fault := await collection.open()
 		if fault != null:
 			return fault
-	var row: Variant = collection.row_of(key)
+	var row: Variant = await collection.row_of(key)
 	if row is CaptureFault:
 		return row
 	if row.version == _version:
@@ -153,7 +153,7 @@ func _take(turn: int, for_newer: bool) -> CaptureFault:
 
 ## Show the coarsest of the levels that can be had.
 func _load(turn: int, row: CaptureRow) -> CaptureFault:
-	var files: Variant = await collection.levels(key)
+	var files: Variant = await collection.levels_of(row)
 	if files is CaptureFault:
 		return files
 	var missing := {}

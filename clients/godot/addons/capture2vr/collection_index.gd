@@ -1,6 +1,7 @@
 extends RefCounted
-## Reads the catalogue of a collection: its signed index, the shards with the rows of its assets, and their manifests.
+## Reads the catalogue of a collection: its signed root, the nodes and shards below it, and the manifests of its assets.
 ##
+## A root lists nodes, which list further ones, down to the shards with the rows; an index lists all shards itself.
 ## Whatever is wrong with the bytes becomes a CaptureFault CATALOGUE_TRUNCATED with the name of the object.
 
 const Ed25519 := preload("ed25519.gd")
@@ -8,19 +9,28 @@ const FileCache := preload("file_cache.gd")
 
 const NUMBER := TYPE_FLOAT  # what JSON's numbers are, whole ones too
 const ID_DIGITS := 16  # of the SHA-256 of a public key
+const MOST_DEPTH := 8
+const MOST_BYTES := 16 << 20  # of a node or a shard
 
 var version: int
-var shards: Array[Shard] = []
+## How many nodes are between the root and a shard.
+var depth: int
+var parts: Array[Part] = []
 
 
-static func object_name(collection: String) -> String:
+## What is asked for first.
+static func root_name(collection: String) -> String:
+	return "collections/%s/root.json" % collection
+
+
+## What there is where a root is not: in stores that were written before there were roots.
+static func index_name(collection: String) -> String:
 	return "collections/%s/index.json" % collection
 
 
-## The index in its object, once its signature holds for one of the keys, or a CaptureFault. keys: of 32 bytes each; with
-## none no signature is asked for.
-static func read(data: PackedByteArray, collection: String, keys: Array[PackedByteArray]) -> Variant:
-	var name := object_name(collection)
+## The root or the index in its object, once its signature holds for one of the keys, or a CaptureFault. name: for people.
+## keys: of 32 bytes each; with none no signature is asked for.
+static func read(data: PackedByteArray, name: String, collection: String, keys: Array[PackedByteArray]) -> Variant:
 	var envelope: Variant = _document(data)
 	if not _has(envelope, {"signed": TYPE_STRING, "signatures": TYPE_ARRAY}):
 		return _truncated(name)
@@ -31,8 +41,14 @@ static func read(data: PackedByteArray, collection: String, keys: Array[PackedBy
 	return _index(name, JSON.parse_string(envelope["signed"]), collection)
 
 
+## What a node lists, or a CaptureFault. below: the depth of that.
+static func parts_of(data: PackedByteArray, node: Part, collection: String, below: int) -> Variant:
+	var found: Array[Part] = []
+	return found if _add_children(found, _document(data), collection, below) else _truncated(node.object_name)
+
+
 ## The assets of a shard by their key, or a CaptureFault.
-static func rows(data: PackedByteArray, shard: Shard) -> Variant:
+static func rows(data: PackedByteArray, shard: Part) -> Variant:
 	var document: Variant = _document(data)
 	if not _has(document, {"columns": TYPE_ARRAY, "words": TYPE_ARRAY, "rows": TYPE_ARRAY}):
 		return _truncated(shard.object_name)
@@ -66,18 +82,48 @@ static func _document(data: PackedByteArray) -> Variant:
 
 
 static func _index(name: String, document: Variant, collection: String) -> Variant:
-	if not _has(document, {"collection": TYPE_STRING, "version": NUMBER, "shards": TYPE_ARRAY}):
+	if not _has(document, {"collection": TYPE_STRING, "version": NUMBER}):
 		return _truncated(name)
 	if document["collection"] != collection:
 		var what := "%s is the catalogue of collection %s" % [name, document["collection"]]
 		return CaptureFault.new(CaptureFault.CATALOGUE_OTHER, what)
 	var index := new()
 	index.version = int(document["version"])
-	for told: Variant in document["shards"]:
-		if not _has(told, {"sha256": TYPE_STRING, "bytes": NUMBER}) or not FileCache.is_hash(told["sha256"]):
-			return _truncated(name)
-		index.shards.append(Shard.new(collection, told["sha256"], int(told["bytes"])))
-	return index
+	return index if index._take(document, collection) else _truncated(name)
+
+
+## Whether the text lists parts, as a tree or all shards at once.
+func _take(document: Dictionary, collection: String) -> bool:
+	if _has(document, {"children": TYPE_ARRAY, "depth": NUMBER}):
+		depth = int(document["depth"])
+		return depth >= 0 and depth <= MOST_DEPTH and _add_children(parts, document, collection, depth)
+	return _has(document, {"shards": TYPE_ARRAY}) and document["shards"].all(
+		func(told: Variant) -> bool: return told is Dictionary and _add(parts, told, collection, 0)
+	)
+
+
+## Whether these are parts, each a list of cells by the names of the columns.
+static func _add_children(found: Array[Part], document: Variant, collection: String, below: int) -> bool:
+	if not _has(document, {"columns": TYPE_ARRAY, "children": TYPE_ARRAY}):
+		return false
+	for cells: Variant in document["children"]:
+		var told := CaptureRow.cells_by_name(document["columns"], cells)
+		if not told.get("sha256") is String:
+			return false
+		told["sha256"] = CaptureRow.hexadecimal(told["sha256"])
+		if not _add(found, told, collection, below):
+			return false
+	return true
+
+
+static func _add(found: Array[Part], told: Dictionary, collection: String, below: int) -> bool:
+	var types := {"sha256": TYPE_STRING, "bytes": NUMBER, "count": NUMBER, "first": TYPE_STRING, "last": TYPE_STRING}
+	if not _has(told, types) or not FileCache.is_hash(told["sha256"]):
+		return false
+	if told["bytes"] < 0 or told["bytes"] > MOST_BYTES:
+		return false
+	found.append(Part.new(collection, "shard" if below == 0 else "node", told))
+	return true
 
 
 ## That one of the keys has signed the text. One suffices: while keys are exchanged there are two.
@@ -122,16 +168,23 @@ static func _truncated(name: String) -> CaptureFault:
 	return CaptureFault.new(CaptureFault.CATALOGUE_TRUNCATED, "%s is no whole catalogue" % name)
 
 
-## A shard as the index lists it. Its name follows from collection and hash, whatever the index may say.
-class Shard:
+## A shard or a node as a list has it. Its name follows from collection and hash, whatever the list may say.
+class Part:
 	var object_name: String
 	var sha256: String
 	var bytes: int
+	## Rows below it, and the keys of the first and the last of them.
+	var count: int
+	var first: String
+	var last: String
 
-	func _init(collection: String, of_content: String, size: int) -> void:
-		object_name = "collections/%s/shard.%s.json" % [collection, of_content]
-		sha256 = of_content
-		bytes = size
+	func _init(collection: String, kind: String, told: Dictionary) -> void:
+		object_name = "collections/%s/%s.%s.json" % [collection, kind, told["sha256"]]
+		sha256 = told["sha256"]
+		bytes = int(told["bytes"])
+		count = int(told["count"])
+		first = told["first"]
+		last = told["last"]
 
 
 ## A file of a manifest: one level of detail, 0 being the finest.

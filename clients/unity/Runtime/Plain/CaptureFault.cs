@@ -35,6 +35,8 @@ namespace Capture2vr
         public const string KeyUnknown = "KEY_UNKNOWN";
         /// <summary>The collection was not opened, or could not be.</summary>
         public const string CollectionClosed = "COLLECTION_CLOSED";
+        /// <summary>A list of all keys is asked for at once, and the collection has too many: KeysAsync, WithLabelAsync.</summary>
+        public const string CollectionLarge = "COLLECTION_LARGE";
         /// <summary>The signed catalogue does not have the asset.</summary>
         public const string AssetUnknown = "ASSET_UNKNOWN";
         /// <summary>The asset was taken out of sight.</summary>

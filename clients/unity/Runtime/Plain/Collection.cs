@@ -6,76 +6,6 @@ using System.Threading.Tasks;
 
 namespace Capture2vr
 {
-    /// <summary>The signed index of a collection: which shards are current.</summary>
-    public sealed class CollectionIndex
-    {
-        public string Collection { get; private set; }
-        public long Version { get; private set; }
-        public IReadOnlyList<ShardName> Shards { get; private set; }
-
-        public static string ObjectName(string collection) => $"collections/{collection}/index.json";
-
-        /// <summary>
-        /// The index in its object, once its signature holds for one of the keys. Throws CaptureFault of classes
-        /// SIGNATURE_*, KEY_UNKNOWN and CATALOGUE_*.
-        /// </summary>
-        /// <param name="keys">whose signature to believe, 32 bytes each; with none no signature is asked for</param>
-        public static async Task<CollectionIndex> ReadAsync(byte[] data, string collection, IReadOnlyList<byte[]> keys)
-        {
-            var name = ObjectName(collection);
-            var envelope = Reading.Of(name, () => Json.Parse(Encoding.UTF8.GetString(data)));
-            var text = Reading.Of(name, () => envelope.In("signed").Text());
-            if (keys.Count > 0)
-            {
-                var signatures = Reading.Of(name, () => Signature.Believed(name, envelope.In("signatures").List(), keys));
-                await Signature.Check(name, Encoding.UTF8.GetBytes(text), signatures).ConfigureAwait(Background.ComesBack);
-            }
-            var index = Reading.Of(name, () => From(Json.Parse(text)));
-            if (index.Collection == collection) return index;
-            throw new CaptureFault(CaptureFault.CatalogueOther, $"{name} is the catalogue of collection {index.Collection}");
-        }
-
-        /// <summary>The shard that has the asset if any has it, or null.</summary>
-        public ShardName ShardOf(string key)
-        {
-            return Shards.LastOrDefault(shard => string.CompareOrdinal(shard.First, key) <= 0);
-        }
-
-        private static CollectionIndex From(object document)
-        {
-            var collection = document.In("collection").Text();
-            return new CollectionIndex
-            {
-                Collection = collection,
-                Version = document.In("version").Whole(),
-                Shards = document.In("shards").List().Select(each => ShardName.From(collection, each)).ToList(),
-            };
-        }
-    }
-
-    /// <summary>A shard as the index lists it: rows of assets whose keys begin with First.</summary>
-    public sealed class ShardName
-    {
-        public string Sha256 { get; private set; }
-        public long Bytes { get; private set; }
-        public string First { get; private set; }
-
-        /// <summary>Follows from collection and hash, whatever the index may say.</summary>
-        public string ObjectName { get; private set; }
-
-        internal static ShardName From(string collection, object told)
-        {
-            var sha256 = Reading.Hash(told.In("sha256").Text());
-            return new ShardName
-            {
-                Sha256 = sha256,
-                Bytes = told.In("bytes").Whole(),
-                First = told.In("first").Text(),
-                ObjectName = $"collections/{collection}/shard.{sha256}.json",
-            };
-        }
-    }
-
     /// <summary>An asset as its collection knows it.</summary>
     public sealed class AssetRow
     {
@@ -96,7 +26,7 @@ namespace Capture2vr
         public string ManifestName => $"assets/{Key}/manifest.{ManifestSha256}.json";
 
         /// <summary>All rows of a shard, whose bytes have been checked by their hash.</summary>
-        public static IReadOnlyList<AssetRow> Read(byte[] data, ShardName shard)
+        public static IReadOnlyList<AssetRow> Read(byte[] data, CataloguePart shard)
         {
             return Reading.Of(shard.ObjectName, () =>
             {
@@ -116,18 +46,10 @@ namespace Capture2vr
                 Label = cell("label").Text(),
                 Version = cell("version").Whole(),
                 Removed = words.At(cell("state").Whole()).Text() == "removed",
-                ManifestSha256 = HashOf(cell("manifest").Text()),
+                ManifestSha256 = Reading.HashOfBase64(cell("manifest").Text()),
                 Labels = cell("labels").List().Select(place => words.At(place.Whole()).Text()).ToList(),
-                PreviewSha256 = cell("preview").Text() == "" ? "" : HashOf(cell("preview").Text()),
+                PreviewSha256 = cell("preview").Text() == "" ? "" : Reading.HashOfBase64(cell("preview").Text()),
             };
-        }
-
-        private static string HashOf(string base64) => Reading.Hash(Capture2vr.Sha256.Hex(FromBase64Url(base64)));
-
-        private static byte[] FromBase64Url(string text)
-        {
-            var padded = text.Replace('-', '+').Replace('_', '/');
-            return Convert.FromBase64String(padded + new string('=', (4 - padded.Length % 4) % 4));
         }
     }
 
@@ -229,6 +151,13 @@ namespace Capture2vr
         public static string Hash(string text)
         {
             return Sha256.IsHash(text) ? text : throw new FormatException($"{text} is no SHA-256");
+        }
+
+        /// <summary>A SHA-256 as rows and nodes have it: 43 letters of base64url, without padding.</summary>
+        public static string HashOfBase64(string text)
+        {
+            var padded = text.Replace('-', '+').Replace('_', '/') + new string('=', (4 - text.Length % 4) % 4);
+            return Hash(Sha256.Hex(Convert.FromBase64String(padded)));
         }
     }
 }

@@ -7,13 +7,14 @@ using System.Threading.Tasks;
 namespace Capture2vr
 {
     /// <summary>
-    /// Reads a collection as the server publishes it: index, rows, manifests, each checked by its hash, and the index by its
+    /// Reads a collection as the server publishes it: root, nodes, rows, manifests, each checked by its hash, and the root by its
     /// signature where keys are given. Addressables' own catalogues are not signed; with this beside them, whoever changes
     /// one can only make assets disappear.
     /// </summary>
     public sealed class CollectionReader
     {
-        private const long IndexBytes = 8L << 20; // a thousand times what 10,000 assets take
+        private const long RootBytes = 8L << 20; // a thousand times what a root takes
+        private const int Tries = 3;
 
         private readonly string _baseUrl;
         private readonly string _collection;
@@ -22,9 +23,10 @@ namespace Capture2vr
         private readonly Versions _versions;
         private readonly Fetch _fetch;
         private readonly string _kept;
+        private Tuple<byte[], CollectionRoot> _accepted; // the last root: the same bytes need not be judged again
 
         /// <param name="keys">public keys, 32 bytes each; with none no signature is asked for</param>
-        /// <param name="folder">where the last good index is kept, for times without a network</param>
+        /// <param name="folder">where the last good root is kept, for times without a network</param>
         public CollectionReader(string baseUrl, string collection, IReadOnlyList<byte[]> keys, string folder, FileCache cache,
             Versions versions, Fetch fetch)
         {
@@ -35,32 +37,66 @@ namespace Capture2vr
             _cache = cache;
             _versions = versions;
             _fetch = fetch;
-            _kept = Path.Combine(folder, $"index.{collection}.json");
+            _kept = Path.Combine(folder, $"index.{collection}.json"); // so named when there was no tree: what a device has from then counts
         }
 
         /// <summary>
-        /// Throws CaptureFault unless this is the current version of the asset, and all files, by their SHA-256, belong to it. Does
-        /// nothing without keys: what anybody may change proves nothing.
+        /// Null where this is the current version of the asset and all files, by their SHA-256, belong to it; where the signed
+        /// catalogue has a newer version, that one, since catalogues for Addressables are written up to half a minute after it.
+        /// Throws CaptureFault for anything else. Null without keys too: what anybody may change proves nothing.
         /// </summary>
-        public async Task Check(string key, long version, IEnumerable<string> files)
+        public async Task<SignedAsset> Check(string key, long version, IEnumerable<string> files)
         {
-            if (_keys.Count == 0) return;
-            var row = await Retried(() => RowOnce(key)).ConfigureAwait(Background.ComesBack);
+            if (_keys.Count == 0) return null;
+            var asset = (await Assets(new[] { key }).ConfigureAwait(Background.ComesBack)).Single();
+            if (asset.Row.Version > version) return asset;
             // A number that nobody has signed would count as seen, and lock out all versions that come.
-            if (row.Version != version)
+            if (asset.Row.Version != version)
             {
-                throw NotSigned($"version {version} of asset {key} is not the one that the signed catalogue lists, {row.Version}");
+                throw NotSigned($"version {version} of asset {key} is not the one that the signed catalogue lists, {asset.Row.Version}");
             }
-            var manifest = await ManifestOf(row).ConfigureAwait(Background.ComesBack);
-            var signed = new HashSet<string>(manifest.Lods.Select(lod => lod.Sha256));
-            if (!files.All(signed.Contains)) throw NotSigned($"a file of asset {key} is not among those that the signed catalogue lists");
+            var signed = new HashSet<string>(asset.Manifest.Lods.Select(lod => lod.Sha256));
+            if (files.All(signed.Contains)) return null;
+            throw NotSigned($"a file of asset {key} is not among those that the signed catalogue lists");
         }
 
-        /// <summary>All assets of the collection that are not removed, in the order of their keys.</summary>
-        public Task<IReadOnlyList<AssetRow>> Rows() => Retried(RowsOnce);
+        /// <summary>All assets of the collection that are not removed, in the order of their keys: reads the whole catalogue.</summary>
+        public Task<IReadOnlyList<AssetRow>> Rows() => Rows(row => true);
+
+        /// <summary>Those that are wanted; the others are forgotten at once.</summary>
+        public Task<IReadOnlyList<AssetRow>> Rows(Func<AssetRow, bool> wanted) => Retried(async () =>
+        {
+            var tree = await Tree().ConfigureAwait(Background.ComesBack);
+            return await tree.Rows(row => !row.Removed && wanted(row)).ConfigureAwait(Background.ComesBack);
+        });
+
+        /// <summary>Some assets, of which only the way to their rows is read. Throws CaptureFault ASSET_UNKNOWN, ASSET_REMOVED.</summary>
+        public Task<IReadOnlyList<SignedAsset>> Assets(IReadOnlyCollection<string> keys) => Retried(() => AssetsOnce(keys));
 
         /// <summary>The manifest of the asset's current version.</summary>
-        public Task<Manifest> ManifestOf(string key) => Retried(() => ManifestOnce(key));
+        public async Task<Manifest> ManifestOf(string key)
+        {
+            return (await Assets(new[] { key }).ConfigureAwait(Background.ComesBack)).Single().Manifest;
+        }
+
+        /// <summary>
+        /// What has become of assets since they were read, by their keys: null for those that are gone. Only what has changed is
+        /// read; an asset whose new version cannot be had stays as it was.
+        /// </summary>
+        public Task<IReadOnlyDictionary<string, SignedAsset>> Changes(IReadOnlyCollection<SignedAsset> known) => Retried(() => ChangesOnce(known));
+
+        /// <summary>The root of this moment; without a network the last that was good.</summary>
+        public async Task<CollectionRoot> Root()
+        {
+            try
+            {
+                return await FetchedRoot().ConfigureAwait(Background.ComesBack);
+            }
+            catch (CaptureFault fault) when (fault.Code == CaptureFault.Unreachable && File.Exists(_kept))
+            {
+                return await Accepted(_kept, File.ReadAllBytes(_kept)).ConfigureAwait(Background.ComesBack);
+            }
+        }
 
         /// <summary>The asset's picture, a PNG of its four sides, the front at the top left; null where it has none.</summary>
         public async Task<byte[]> Preview(AssetRow row)
@@ -69,39 +105,64 @@ namespace Capture2vr
             return await Content(row.PreviewName, row.PreviewSha256, -1).ConfigureAwait(Background.ComesBack);
         }
 
-        /// <summary>A shard goes when enough newer ones have come; the index of this moment knows another.</summary>
+        /// <summary>A shard or a node goes when enough newer ones have come; the root of this moment knows another.</summary>
         private static async Task<T> Retried<T>(Func<Task<T>> read)
         {
+            for (var left = Tries - 1; ; left--)
+            {
+                try
+                {
+                    return await read().ConfigureAwait(Background.ComesBack);
+                }
+                catch (CaptureFault fault) when (fault.Code == CaptureFault.FileMissing && left > 0)
+                {
+                    await Background.Pause().ConfigureAwait(Background.ComesBack);
+                }
+            }
+        }
+
+        private async Task<IReadOnlyList<SignedAsset>> AssetsOnce(IReadOnlyCollection<string> keys)
+        {
+            var tree = await Tree().ConfigureAwait(Background.ComesBack);
+            var found = await tree.Find(keys.Distinct().ToDictionary(key => key, key => "")).ConfigureAwait(Background.ComesBack);
+            foreach (var each in found) CheckThere(each);
+            return await Several.Of(found, Signed).ConfigureAwait(Background.ComesBack);
+        }
+
+        private void CheckThere(FoundRow found)
+        {
+            if (found.Row == null) throw new CaptureFault(CaptureFault.AssetUnknown, $"collection {_collection} has no asset {found.Key}");
+            if (found.Row.Removed) throw new CaptureFault(CaptureFault.AssetRemoved, $"asset {found.Key} was removed");
+        }
+
+        private async Task<SignedAsset> Signed(FoundRow found)
+        {
+            return new SignedAsset(found, await ManifestOf(found.Row).ConfigureAwait(Background.ComesBack));
+        }
+
+        private async Task<IReadOnlyDictionary<string, SignedAsset>> ChangesOnce(IReadOnlyCollection<SignedAsset> known)
+        {
+            var root = await Root().ConfigureAwait(Background.ComesBack);
+            var old = known.Where(each => each.CatalogueVersion < root.Version).ToDictionary(each => each.Row.Key);
+            if (old.Count == 0) return old;
+            var found = await TreeOf(root).Find(old.ToDictionary(each => each.Key, each => each.Value.Shard)).ConfigureAwait(Background.ComesBack);
+            var now = await Several.Of(found, each => Changed(old[each.Key], each)).ConfigureAwait(Background.ComesBack);
+            return found.Select((each, place) => place).ToDictionary(place => found[place].Key, place => now[place]);
+        }
+
+        private async Task<SignedAsset> Changed(SignedAsset old, FoundRow found)
+        {
+            if (found.Shard == old.Shard) return new SignedAsset(new FoundRow(found.Key, old.Row, found.Shard, found.Version), old.Manifest);
+            if (found.Row == null || found.Row.Removed) return null;
+            if (found.Row.ManifestSha256 == old.Row.ManifestSha256) return new SignedAsset(found, old.Manifest);
             try
             {
-                return await read().ConfigureAwait(Background.ComesBack);
+                return await Signed(found).ConfigureAwait(Background.ComesBack);
             }
-            catch (CaptureFault fault) when (fault.Code == CaptureFault.FileMissing)
+            catch (CaptureFault fault) when (fault.Code != CaptureFault.Unreachable)
             {
-                return await read().ConfigureAwait(Background.ComesBack);
+                return old; // of an older catalogue still, so the next look tries again
             }
-        }
-
-        private async Task<IReadOnlyList<AssetRow>> RowsOnce()
-        {
-            var rows = new List<AssetRow>();
-            var index = await Index().ConfigureAwait(Background.ComesBack);
-            foreach (var shard in index.Shards)
-            {
-                rows.AddRange(await RowsOf(shard).ConfigureAwait(Background.ComesBack));
-                await Background.Pause().ConfigureAwait(Background.ComesBack);
-            }
-            return rows.Where(row => !row.Removed).ToList();
-        }
-
-        private async Task<IReadOnlyList<AssetRow>> RowsOf(ShardName shard)
-        {
-            return AssetRow.Read(await Content(shard.ObjectName, shard.Sha256, shard.Bytes).ConfigureAwait(Background.ComesBack), shard);
-        }
-
-        private async Task<Manifest> ManifestOnce(string key)
-        {
-            return await ManifestOf(await RowOnce(key).ConfigureAwait(Background.ComesBack)).ConfigureAwait(Background.ComesBack);
         }
 
         private async Task<Manifest> ManifestOf(AssetRow row)
@@ -110,45 +171,49 @@ namespace Capture2vr
             return Manifest.Read(manifest, row.ManifestName);
         }
 
-        private async Task<AssetRow> RowOnce(string key)
-        {
-            var index = await Index().ConfigureAwait(Background.ComesBack);
-            var shard = index.ShardOf(key) ?? throw Unknown(key);
-            var rows = await RowsOf(shard).ConfigureAwait(Background.ComesBack);
-            var row = rows.FirstOrDefault(each => each.Key == key) ?? throw Unknown(key);
-            if (row.Removed) throw new CaptureFault(CaptureFault.AssetRemoved, $"asset {key} was removed");
-            return row;
-        }
+        private async Task<CatalogueTree> Tree() => TreeOf(await Root().ConfigureAwait(Background.ComesBack));
 
-        /// <summary>From the network; without one the last that was good, which is checked just the same.</summary>
-        private async Task<CollectionIndex> Index()
+        private CatalogueTree TreeOf(CollectionRoot root) => new CatalogueTree(root, part => Content(part.ObjectName, part.Sha256, part.Bytes));
+
+        /// <summary>A store of an earlier release has a flat list of shards only. Buckets that nobody may list say refused for missing.</summary>
+        private async Task<CollectionRoot> FetchedRoot()
         {
-            byte[] data;
             try
             {
-                data = await Fetched(CollectionIndex.ObjectName(_collection)).ConfigureAwait(Background.ComesBack);
+                return await FetchedRoot(CollectionRoot.ObjectName(_collection)).ConfigureAwait(Background.ComesBack);
             }
-            catch (CaptureFault fault) when (fault.Code == CaptureFault.Unreachable && File.Exists(_kept))
+            catch (CaptureFault fault) when (fault.Code == CaptureFault.FileMissing || fault.Code == CaptureFault.AccessRefused)
             {
-                return await Accepted(File.ReadAllBytes(_kept)).ConfigureAwait(Background.ComesBack);
+                return await FetchedRoot(CollectionRoot.FlatName(_collection)).ConfigureAwait(Background.ComesBack);
             }
-            var index = await Accepted(data).ConfigureAwait(Background.ComesBack);
-            Keep(data);
-            return index;
         }
 
-        private async Task<CollectionIndex> Accepted(byte[] data)
+        private async Task<CollectionRoot> FetchedRoot(string name)
         {
-            var index = await CollectionIndex.ReadAsync(data, _collection, _keys).ConfigureAwait(Background.ComesBack);
+            var data = await Fetched(name).ConfigureAwait(Background.ComesBack);
+            var last = _accepted;
+            var root = await Accepted(name, data).ConfigureAwait(Background.ComesBack);
+            if (_accepted != last) Keep(data);
+            return root;
+        }
+
+        private async Task<CollectionRoot> Accepted(string name, byte[] data)
+        {
+            var last = _accepted;
+            if (last == null || !last.Item1.SequenceEqual(data))
+            {
+                last = Tuple.Create(data, await CollectionRoot.ReadAsync(data, name, _collection, _keys).ConfigureAwait(Background.ComesBack));
+            }
             // Only now: a version that nobody has signed must not lock out those that come.
-            _versions.Check("collection " + _collection, index.Version);
-            return index;
+            _versions.Check("collection " + _collection, last.Item2.Version);
+            _accepted = last;
+            return last.Item2;
         }
 
         private async Task<byte[]> Fetched(string name)
         {
             using (var memory = new MemoryStream())
-            using (var bounded = new HashingStream(memory, IndexBytes, told => { }))
+            using (var bounded = new HashingStream(memory, RootBytes, told => { }))
             {
                 await _fetch($"{_baseUrl}/{name}", bounded).ConfigureAwait(Background.ComesBack);
                 return memory.ToArray();
@@ -186,11 +251,6 @@ namespace Capture2vr
         {
             return new CaptureFault(CaptureFault.FileNotSigned, reason,
                 "The Addressables catalogue is older or newer than it, or was tampered with; update the catalogues");
-        }
-
-        private CaptureFault Unknown(string key)
-        {
-            return new CaptureFault(CaptureFault.AssetUnknown, $"collection {_collection} has no asset {key}");
         }
     }
 }

@@ -29,6 +29,7 @@ namespace Capture2vr
         // Order of use within this run: clocks of headsets jump, and file systems tell times as roughly as they like.
         private readonly Dictionary<string, long> _lastUse = new Dictionary<string, long>();
         private long _uses;
+        private long _bytes = -1; // of all files, or more where some were removed by others; -1: not counted yet
 
         /// <param name="limit">bytes that all files together may take; those in use stay whatever they take</param>
         public FileCache(string folder, long limit, Fetch fetch)
@@ -149,10 +150,11 @@ namespace Capture2vr
         private async Task Fetch(string url, string sha256, long size, Download download)
         {
             var part = PathOf(sha256) + "." + Guid.NewGuid().ToString("N") + Part;
+            long come;
             try
             {
                 Directory.CreateDirectory(_folder); // systems clear the caches of apps while these run
-                await FetchTo(part, url, sha256, size, download).ConfigureAwait(Background.ComesBack);
+                come = await FetchTo(part, url, sha256, size, download).ConfigureAwait(Background.ComesBack);
                 // A name appears only with all its bytes on the disk: a crash before this leaves a part, which is swept.
                 File.Move(part, PathOf(sha256));
             }
@@ -165,18 +167,18 @@ namespace Capture2vr
             {
                 Discard(part);
             }
-            Evict();
+            Evict(come);
             Storage.Flush();
         }
 
-        private async Task FetchTo(string part, string url, string sha256, long size, Download download)
+        private async Task<long> FetchTo(string part, string url, string sha256, long size, Download download)
         {
             using (var file = new FileStream(part, FileMode.CreateNew))
             using (var hashing = new HashingStream(file, size < 0 ? UntoldSize : size, told => download.Received = told))
             {
                 await _fetch(url, hashing).ConfigureAwait(Background.ComesBack);
                 file.Flush(true);
-                if (await hashing.FinishAsync().ConfigureAwait(Background.ComesBack) == sha256) return;
+                if (await hashing.FinishAsync().ConfigureAwait(Background.ComesBack) == sha256) return hashing.Written;
                 throw new CaptureFault(CaptureFault.FileChanged,
                     $"{url}: its {hashing.Written:N0} bytes do not have the hash of the catalogue",
                     "It was damaged on the way or tampered with, and is not shown");
@@ -195,16 +197,20 @@ namespace Capture2vr
             }
         }
 
-        private void Evict()
+        /// <summary>Counted along: a catalogue of many shards would else have all files listed for each of them.</summary>
+        /// <param name="come">bytes of the file that has just come</param>
+        private void Evict(long come)
         {
             lock (_lock)
             {
+                _bytes = _bytes < 0 ? Bytes : _bytes + come;
+                if (_bytes <= _limit) return;
                 var files = Files().OrderBy(LastUse).ThenBy(file => file.LastWriteTimeUtc).ToList();
-                var bytes = files.Sum(file => file.Length);
+                _bytes = files.Sum(file => file.Length);
                 foreach (var file in files.Where(file => !_users.Held(file.Name)))
                 {
-                    if (bytes <= _limit) return;
-                    bytes -= file.Length;
+                    if (_bytes <= _limit) return;
+                    _bytes -= file.Length;
                     file.Delete();
                 }
             }

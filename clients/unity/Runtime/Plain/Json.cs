@@ -159,6 +159,9 @@ namespace Capture2vr
             throw new FormatException($"there is no \"{name}\"");
         }
 
+        /// <summary>Whether there is something of that name; here nothing is thrown.</summary>
+        public static bool Has(this object value, string name) => value is Dictionary<string, object> members && members.ContainsKey(name);
+
         public static List<object> List(this object value) => As<List<object>>(value, "list");
 
         public static string Text(this object value) => As<string>(value, "text");

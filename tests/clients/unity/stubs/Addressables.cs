@@ -39,6 +39,7 @@ namespace UnityEngine.AddressableAssets.ResourceLocators
     {
         string LocatorId { get; }
         IEnumerable<object> Keys { get; }
+        IEnumerable<IResourceLocation> AllLocations { get; } // only where catalogues are binary
         bool Locate(object key, Type type, out IList<IResourceLocation> locations);
     }
 
@@ -55,6 +56,7 @@ namespace UnityEngine.AddressableAssets.ResourceLocators
 
         public string LocatorId { get; }
         public IEnumerable<object> Keys => _keys.Keys;
+        public IEnumerable<IResourceLocation> AllLocations => _keys.Values.SelectMany(each => each).Distinct();
 
         public bool Locate(object key, Type type, out IList<IResourceLocation> locations)
         {
@@ -73,12 +75,17 @@ namespace UnityEngine.AddressableAssets
     public static class Addressables
     {
         private static readonly List<IResourceLocator> Locators = new List<IResourceLocator>();
+        private static readonly Dictionary<string, string> Kept = new Dictionary<string, string>();
         private static bool _initialized;
+        private static Operation _starting;
 
         public static ResourceManager ResourceManager { get; private set; } = new ResourceManager();
 
         /// <summary>Ids of the catalogues that were updated, in order.</summary>
         public static readonly List<string> Updated = new List<string>();
+
+        /// <summary>Whether the app was built with settings, and so has a catalogue of its own.</summary>
+        public static bool HasSettings { get; set; }
 
         public static Action<UnityWebRequest> WebRequestOverride { get; set; }
 
@@ -89,15 +96,27 @@ namespace UnityEngine.AddressableAssets
             Locators.Clear();
             Updated.Clear();
             _initialized = false;
+            _starting = null;
+            HasSettings = true;
         }
 
-        public static AsyncOperationHandle<IResourceLocator> InitializeAsync(bool autoReleaseHandle)
+        /// <summary>
+        /// Whoever asks while somebody's handle is valid gets that one, and no share in it: it is whose it was. Later the first
+        /// locator is the answer, whether there is one or not: the app's own, if it was built with settings.
+        /// </summary>
+        public static AsyncOperationHandle<IResourceLocator> InitializeAsync(bool autoReleaseHandle = true)
         {
-            return Started<IResourceLocator>(() =>
+            if (_starting != null && _starting.Users > 0) return new AsyncOperationHandle<IResourceLocator>(_starting);
+            if (_starting != null && Locators.Count == 0 && !HasSettings) throw new ArgumentOutOfRangeException("index");
+            var handle = Started<IResourceLocator>(async () =>
             {
+                await Task.Yield();
                 _initialized = true;
-                return Task.FromResult<object>(null);
+                return null;
             });
+            _starting = handle.Operation;
+            if (autoReleaseHandle) handle.Completed += Release;
+            return handle;
         }
 
         /// <summary>Of several catalogues with the key, the first that was loaded has it.</summary>
@@ -154,6 +173,16 @@ namespace UnityEngine.AddressableAssets
             });
         }
 
+        public static void AddResourceLocator(IResourceLocator locator, string localCatalogHash = null, IResourceLocation remoteCatalogLocation = null)
+        {
+            if (!_initialized) throw new InvalidOperationException("what is added before the start is forgotten by it");
+            Locators.Add(locator);
+        }
+
+        public static void RemoveResourceLocator(IResourceLocator locator) => Locators.Remove(locator);
+
+        public static IEnumerable<IResourceLocator> ResourceLocators => Locators;
+
         public static void Release<TObject>(AsyncOperationHandle<TObject> handle) => handle.Operation.Release();
 
         private static List<IResourceLocation> All(object key, Type type)
@@ -190,8 +219,11 @@ namespace UnityEngine.AddressableAssets
                 WebRequestOverride?.Invoke(request);
                 var sending = request.SendWebRequest();
                 while (!sending.isDone) await Task.Yield();
-                if (request.result != UnityWebRequest.Result.Success) throw new Exception(request.error);
-                return text.text;
+                // A device keeps the last one, and takes it where it gets no other.
+                var kept = Application.persistentDataPath + " " + address;
+                if (request.result == UnityWebRequest.Result.Success) Kept[kept] = text.text;
+                if (!Kept.ContainsKey(kept)) throw new Exception(request.error);
+                return Kept[kept];
             }
         }
 

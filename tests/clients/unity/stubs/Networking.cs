@@ -10,7 +10,7 @@ using System.Threading;
 
 namespace UnityEngine.Networking
 {
-    public class DownloadHandler : IDisposable
+    public partial class DownloadHandler : IDisposable
     {
         /// <summary>False aborts the request.</summary>
         protected virtual bool ReceiveData(byte[] data, int dataLength) => false;
@@ -60,7 +60,7 @@ namespace UnityEngine.Networking
     {
         private readonly MemoryStream _all = new MemoryStream();
 
-        public string text => Encoding.UTF8.GetString(_all.ToArray());
+        public override byte[] data => _all.ToArray();
 
         protected override bool ReceiveData(byte[] data, int dataLength)
         {
@@ -73,13 +73,18 @@ namespace UnityEngine.Networking
     {
     }
 
-    public sealed class UnityWebRequestAsyncOperation
+    /// <summary>Done in the frame after the request has ended, when all of its body was handed out.</summary>
+    public sealed class UnityWebRequestAsyncOperation : AsyncOperation
     {
-        /// <summary>In the frame after the request has ended, when all of its body was handed out.</summary>
-        public bool isDone { get; internal set; }
+        internal UnityWebRequestAsyncOperation(UnityWebRequest request)
+        {
+            webRequest = request;
+        }
+
+        public UnityWebRequest webRequest { get; }
     }
 
-    public sealed class UnityWebRequest : IDisposable
+    public sealed partial class UnityWebRequest : IDisposable
     {
         public const string kHttpVerbGET = "GET";
 
@@ -98,7 +103,7 @@ namespace UnityEngine.Networking
         private readonly Dictionary<string, string> _headers = new Dictionary<string, string>();
         private readonly DownloadHandler _handler;
         private readonly string _url;
-        private readonly UnityWebRequestAsyncOperation _sending = new UnityWebRequestAsyncOperation();
+        private readonly UnityWebRequestAsyncOperation _sending;
         private SynchronizationContext _main;
         private TcpClient _socket;
         private Result _result = Result.InProgress;
@@ -111,6 +116,7 @@ namespace UnityEngine.Networking
             UnityEngine.Object.OnMainThread();
             _url = url;
             _handler = downloadHandler;
+            _sending = new UnityWebRequestAsyncOperation(this);
             Open++;
         }
 
@@ -167,7 +173,7 @@ namespace UnityEngine.Networking
             _result = result;
             _error = error;
             _socket?.Close();
-            _main?.Post(_ => _sending.isDone = true, null);
+            _main?.Post(_ => _sending.Finish(), null);
         }
 
         // On the network's thread.

@@ -8,7 +8,7 @@ using System.Threading;
 
 namespace UnityEngine
 {
-    public class Object
+    public partial class Object
     {
         public static readonly List<Object> Alive = new List<Object>();
         public static Thread MainThread;
@@ -68,11 +68,11 @@ namespace UnityEngine
     {
     }
 
-    public class MonoBehaviour : Behaviour
+    public partial class MonoBehaviour : Behaviour
     {
     }
 
-    public sealed class GameObject : Object
+    public sealed partial class GameObject : Object
     {
         public readonly List<Component> Components = new List<Component>();
 
@@ -270,7 +270,7 @@ namespace UnityEngine
         public bool useGravity { get; set; } = true;
     }
 
-    public sealed class AssetBundle : Object
+    public sealed partial class AssetBundle : Object
     {
     }
 
@@ -355,7 +355,7 @@ namespace UnityEngine
         public static Vector3 operator *(Vector3 a, float d) => new Vector3(a.x * d, a.y * d, a.z * d);
     }
 
-    public struct Quaternion
+    public partial struct Quaternion
     {
         public Vector3 eulerAngles { get; set; }
         public static Quaternion Euler(float x, float y, float z) => new Quaternion { eulerAngles = new Vector3(x, y, z) };
@@ -381,7 +381,7 @@ namespace UnityEngine
         }
     }
 
-    public struct Mathf
+    public partial struct Mathf
     {
         public const float Rad2Deg = 57.29578f;
         public const float Deg2Rad = 1 / Rad2Deg;
@@ -391,17 +391,17 @@ namespace UnityEngine
         public static int Clamp(int value, int min, int max) => Math.Max(min, Math.Min(max, value));
     }
 
-    public static class Application
+    public static partial class Application
     {
         public static string persistentDataPath { get; set; }
     }
 
-    public static class Time
+    public static partial class Time
     {
         public static float unscaledTime { get; set; }
     }
 
-    public static class Debug
+    public static partial class Debug
     {
         public static readonly List<string> Errors = new List<string>();
         public static void Log(object message) => Console.WriteLine(message);

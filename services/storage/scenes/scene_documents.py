@@ -14,7 +14,7 @@ from dataclasses import replace
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, read_mutable
 from capture2vr.storage.catalogue.faults import CatalogueFault
-from capture2vr.storage.catalogue.scene import PlacedAsset, Scene, parse_scene
+from capture2vr.storage.scenes.scene import PlacedAsset, Scene, parse_scene
 from capture2vr.storage.store import ConditionFailed, Head, Store
 
 MOST_SCENES = 1_000

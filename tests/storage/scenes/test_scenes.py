@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from capture2vr.storage.catalogue import scene_documents
 from capture2vr.storage.catalogue.faults import CatalogueFault
-from capture2vr.storage.catalogue.scene import PlacedAsset, Scene, parse_scene
-from capture2vr.storage.catalogue.scene_documents import (
+from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.scenes import scene_documents
+from capture2vr.storage.scenes.scene import PlacedAsset, Scene, parse_scene
+from capture2vr.storage.scenes.scene_documents import (
     SceneChanged,
     TooManyScenes,
     create_scene,
@@ -23,7 +24,6 @@ from capture2vr.storage.catalogue.scene_documents import (
     replace_scene,
     scene_name,
 )
-from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.store import Store
 
 CHAIR = PlacedAsset("a", "chair", (0.0, 0.0, -1.5))
