@@ -44,6 +44,6 @@ ENV PATH=/venv/bin:$PATH PYTHONUNBUFFERED=1 EDGE_HOST=0.0.0.0 EDGE_PORT=50051 ED
 USER 10001
 EXPOSE 50051
 STOPSIGNAL SIGTERM
-HEALTHCHECK --interval=5s --timeout=10s --start-period=20s CMD ["python", "-m", "capture2vr.edge.worker.health"]
+HEALTHCHECK --interval=5s --timeout=10s --start-period=60s CMD ["python", "-m", "capture2vr.edge.worker.health"]
 ENTRYPOINT ["capture2vr"]
 CMD ["edge"]

@@ -15,8 +15,7 @@ RUN /build/bin/pip wheel --no-deps --no-build-isolation -w /wheels . && \
 # In a folder of its own: what is checked is what was installed, not the sources.
 WORKDIR /slim
 COPY deploy/slim.sh deploy/check_image.py ./
-# The weights for single photos are a worker's alone.
-RUN sh slim.sh /venv && rm -r /venv/lib/python3*/site-packages/capture2vr/edge/single_photo/weights && \
+RUN sh slim.sh /venv && \
     /venv/bin/python check_image.py gateway
 
 FROM ${PYTHON_IMAGE}
@@ -31,6 +30,6 @@ ENV PATH=/venv/bin:$PATH PYTHONUNBUFFERED=1 GATEWAY_HOST=0.0.0.0 GATEWAY_PORT=80
 USER 10001
 EXPOSE 8080
 STOPSIGNAL SIGTERM
-HEALTHCHECK --interval=3s --timeout=3s --start-period=10s CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8080/livez', timeout=2)"]
+HEALTHCHECK --interval=3s --timeout=10s --start-period=60s CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8080/livez', timeout=9)"]
 ENTRYPOINT ["capture2vr"]
 CMD ["gateway"]

@@ -15,5 +15,5 @@ VOLUME /data
 USER 10001
 EXPOSE 9000
 STOPSIGNAL SIGTERM
-HEALTHCHECK --interval=3s --timeout=3s --start-period=10s CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:9000/healthz', timeout=2)"]
+HEALTHCHECK --interval=3s --timeout=10s --start-period=60s CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:9000/healthz', timeout=9)"]
 ENTRYPOINT ["python", "/store.py"]

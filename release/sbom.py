@@ -41,7 +41,7 @@ def make_sbom(root: Path, version: str) -> str:
     read = _environment(root)
     brought = brought_by(product_extras(root))
     installed = {normalised(each["name"]): each for each in read["components"]}
-    ours = [*_weights(root, version), *(_vendored(root, each) for each in vendored_libraries(root))]
+    ours = [_vendored(root, each) for each in vendored_libraries(root)]
     wheels = [_wheel(installed[name], extras) for name, extras in sorted(brought.items()) if name in installed]
     graph = _graph(read["dependencies"], {each["bom-ref"] for each in wheels}, [each["bom-ref"] for each in ours])
     document = {
@@ -114,16 +114,6 @@ def _bundled_weights(read: Json) -> list[Json]:
     )  # PyTorch brings one to test
     licence = licence_of(read["name"])
     return [_model(f"{read['bom-ref']}/{name}", Path(str(installed.locate_file(name))), licence) for name in files]
-
-
-def _weights(root: Path, version: str) -> list[Json]:
-    """The weights that the product's own wheel holds."""
-    files = sorted(path for path in (root / "services").rglob("*") if path.name.endswith(WEIGHTS))
-    note = "trained on shapes and pictures that the product generates itself; no data of others"
-    return [
-        {**_model(path.relative_to(root).as_posix(), path, "Apache-2.0"), "version": version, "description": note}
-        for path in files
-    ]
 
 
 def _model(ref: str, path: Path, licence: str) -> Json:

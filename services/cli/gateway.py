@@ -1,4 +1,4 @@
-"""`capture2vr gateway`: run one gateway; `gateway check | restore | scrub`: look after its database and store."""
+"""`capture2vr gateway`: run one; `gateway migrate | check | restore | scrub`: look after its database and store."""
 
 from __future__ import annotations
 
@@ -24,6 +24,20 @@ def gateway(context: typer.Context, everybody: Open = False) -> None:
         from capture2vr.gateway.__main__ import start
 
         raise typer.Exit(start(everybody=everybody))
+
+
+@app.command()
+def migrate(
+    data: Data = _DATA,
+    wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for a database that does not answer.")] = 60.0,
+) -> None:
+    """Bring the jobs' database up to date, before the gateways of a new version start; those of the last may go on.
+
+    Exit code 2 where it cannot be done, such as for a database of a newer version.
+    """
+    from capture2vr.cli.backups.database_work import migrate_database
+
+    migrate_database(data, wait)
 
 
 @app.command()

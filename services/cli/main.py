@@ -13,6 +13,7 @@ import capture2vr
 from capture2vr.cli.backups.backup import app as backup
 from capture2vr.cli.deployment.deploy import app as deploy
 from capture2vr.cli.gateway import app as gateway
+from capture2vr.cli.local.models import app as models
 from capture2vr.cli.options import (
     DEFAULT_GATEWAY,
     Box,
@@ -60,6 +61,7 @@ app.add_typer(catalogue, name="catalogue")
 app.add_typer(deploy, name="deploy")
 app.add_typer(gateway, name="gateway")
 app.add_typer(keys, name="keys")
+app.add_typer(models, name="models")
 app.add_typer(shares, name="shares")
 
 _DAY = ["%Y-%m-%d"]

@@ -123,17 +123,22 @@ class Stack:
                 if child.poll() is not None:
                     raise BadInput(f"the service {name} cannot start: {_last_line(self._logs / f'{name}.log')}")
             try:
-                if self._is_ready(exclude="disk"):  # on a full disk there is still much to read, and to delete
-                    if not self._is_ready():
+                answer = self._ask(exclude="disk")  # on a full disk there is still much to read, and to delete
+                if answer.is_success:
+                    if not self._ask().is_success:
                         warn("the disk is almost full: nothing is taken until captures or assets are deleted")
                     return
+                if '"GATEWAY_STARTING"' in answer.text:  # a migration takes as long as it takes
+                    deadline = time.monotonic() + _READY_S
+                if '"SCHEMA_NEWER"' in answer.text:
+                    raise BadInput(f"the service gateway cannot start: {_last_line(self._logs / 'gateway.log')}")
             except httpx.TransportError:
                 pass
             time.sleep(0.1)
         raise BadInput(f"the services were not ready within {_READY_S:.0f} s; see {self._logs}")
 
-    def _is_ready(self, **query: str) -> bool:
-        return httpx.get(f"{self.url}/readyz", params=query, timeout=2.0, trust_env=False).is_success
+    def _ask(self, **query: str) -> httpx.Response:
+        return httpx.get(f"{self.url}/readyz", params=query, timeout=2.0, trust_env=False)
 
     def stop(self) -> None:
         """Stop the gateway, then the worker, so that no new job reaches a worker that is shutting down."""

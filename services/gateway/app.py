@@ -45,7 +45,7 @@ from capture2vr.gateway.routes import (
 )
 from capture2vr.gateway.routes.access_rules import check_rules, describe_rules, needs
 from capture2vr.gateway.running import running
-from capture2vr.gateway.settings import GatewaySettings, worker_credentials
+from capture2vr.gateway.settings import GatewaySettings, read_metrics_token, worker_credentials
 from capture2vr.storage.catalogue.signing import NO_KEYS, Keys
 from capture2vr.storage.store import Store
 
@@ -62,13 +62,15 @@ _ROUTES = (
 def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> FastAPI:
     """Build the app. Its gateway is opened at startup and closed at shutdown: `gateway_in` returns it in between.
 
-    Raises SettingsError where the workers' certificate or token cannot be used.
+    Raises SettingsError where the workers' certificate or token, or that of the metrics, cannot be used.
     """
     app = FastAPI(
         title="capture2vr",
         version=capture2vr.__version__,
         summary="Upload phone captures, reconstruct them as meshes, and download the assets for VR.",
-        lifespan=_lifespan(Equipment(settings, store, keys, worker_credentials(settings))),
+        lifespan=_lifespan(
+            Equipment(settings, store, keys, worker_credentials(settings), read_metrics_token(settings))
+        ),
         docs_url=None,  # that page loads scripts from another host; the document itself is at /openapi.json
         redoc_url=None,
         openapi_url=None,  # the route below, which needs a key

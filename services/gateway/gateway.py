@@ -6,6 +6,7 @@ request with `gateway_of`. The app keeps it in the one field of its state, which
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -17,26 +18,28 @@ from capture2vr.gateway.access.limits import Limits
 from capture2vr.gateway.access.readers import ReadersCache
 from capture2vr.gateway.access.sharing import Sharing
 from capture2vr.gateway.access.usage import Usage
+from capture2vr.gateway.backup.backup_records import BackupRecords
 from capture2vr.gateway.backup.scrub import Scrub
 from capture2vr.gateway.backup.snapshots import Snapshots
 from capture2vr.gateway.database.disk_reserve import DiskReserve
 from capture2vr.gateway.dispatch.dispatcher import Dispatcher
 from capture2vr.gateway.dispatch.downloads import Downloads
 from capture2vr.gateway.jobs.async_store import AsyncJobStore
-from capture2vr.gateway.metrics import Metrics
+from capture2vr.gateway.metrics.metrics import Metrics
 from capture2vr.gateway.pictures.picture_processes import PictureProcesses
 from capture2vr.gateway.records.audit_log import AuditLog
 from capture2vr.gateway.records.tenant_data import TenantData
 from capture2vr.gateway.resumable.uploads import ResumableUploads
 from capture2vr.gateway.scenes.news import SceneNews
 from capture2vr.gateway.scenes.reads import SceneReads
+from capture2vr.gateway.search.indexes import SearchIndexes
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.gateway.uploads.accept import Uploads
 from capture2vr.gateway.webhooks.deliveries import Deliveries
 from capture2vr.gateway.webhooks.outbox import Outbox
 from capture2vr.gateway.webhooks.store import WebhookStore
 from capture2vr.gateway.workers.worker_client import WorkerPool
-from capture2vr.storage.catalogue.reader import LoadTenantRows
+from capture2vr.storage.catalogue.reader import TreeParts
 from capture2vr.storage.catalogue.signing import Keys
 from capture2vr.storage.store import Store
 
@@ -46,6 +49,7 @@ class AccessParts:
     """Who makes a request, how often, and what it may read.
 
     code_guesses, password_guesses  tries of pairing codes, and of passwords of shares
+    metrics_token                   with which metrics are read, besides access keys; "": with those alone
     """
 
     authentication: Authentication
@@ -55,6 +59,7 @@ class AccessParts:
     readers: ReadersCache
     code_guesses: Guesses
     password_guesses: Guesses
+    metrics_token: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +98,12 @@ class RecordParts:
 
 @dataclass(frozen=True, slots=True)
 class UpkeepParts:
-    """What looks after the store's files, the database and its disk."""
+    """What looks after the store's files, the database, its disk and its backups."""
 
     scrub: Scrub
     snapshots: Snapshots
     reserve: DiskReserve
+    backups: BackupRecords
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +111,15 @@ class Gateway:
     """All parts of a running gateway.
 
     settings   with the data folder that this gateway works in
-    load_rows  reads the rows of a tenant's shard, and caches them
+    parts      (tenant, collection) -> how its shards and nodes are read, cached
+    search     finds rows in collections
     """
 
     settings: GatewaySettings
     store: Store
     keys: Keys
-    load_rows: LoadTenantRows
+    parts: Callable[[str, str], TreeParts]
+    search: SearchIndexes
     metrics: Metrics
     workers: WorkerPool
     job_store: AsyncJobStore

@@ -36,6 +36,7 @@ from capture2vr.sentences.sentence import say
 _JSON_BYTES = 64 << 10  # limit of a body that is no upload: a job request has a few hundred bytes
 _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and headers of some thousand files
 _UPLOADS = re.compile("/v1/(captures|outlines|uploads(/[^/]*)?)/?")
+_PROBES = re.compile("/(livez|readyz|metrics)")
 _UPLOAD_SILENCE_S = 90.0  # without a byte of a body; uploads have a limit of their own, which names the upload
 _SILENCE_S = 20.0
 _LEAST_BYTES_S = 512  # of a body, whose sender may be silent for as long as that once: a poor mobile line has 5,000
@@ -217,7 +218,8 @@ def _count(gateway: Gateway, scope: Scope, exchange: _Exchange) -> None:
     )
     path = mask_shares(mask_keys(scope["path"]))
     extra = {"method": scope["method"], "path": path, "status": exchange.status, "ms": round(seconds * 1000, 1)}
-    level = logging.DEBUG if PASSING.fullmatch(path) else logging.INFO  # ten lines a second would bury all others
+    # What is asked every few seconds would bury all others. `Vitals` logs what /readyz finds, once.
+    level = logging.DEBUG if PASSING.fullmatch(path) or _PROBES.fullmatch(path) else logging.INFO
     _log.log(level, "%s %s %d", scope["method"], path, exchange.status, extra=extra)
 
 

@@ -15,6 +15,7 @@ from capture2vr.gateway.access.shares import ShareStore
 from capture2vr.gateway.access.sharing import Sharing
 from capture2vr.gateway.access.store import AccessStore
 from capture2vr.gateway.access.usage import Usage
+from capture2vr.gateway.backup.backup_records import BackupRecords
 from capture2vr.gateway.backup.scrub import Scrub
 from capture2vr.gateway.backup.snapshots import Snapshots
 from capture2vr.gateway.database.database import open_engine
@@ -34,7 +35,7 @@ from capture2vr.gateway.gateway import (
 from capture2vr.gateway.jobs.async_store import AsyncJobStore
 from capture2vr.gateway.jobs.state_machine import Retry
 from capture2vr.gateway.jobs.store import JobStore
-from capture2vr.gateway.metrics import Metrics
+from capture2vr.gateway.metrics.metrics import Metrics
 from capture2vr.gateway.pictures.picture_processes import PictureProcesses
 from capture2vr.gateway.records.audit_log import AuditLog, AuditStore
 from capture2vr.gateway.records.deletions import DeletionStore
@@ -43,6 +44,7 @@ from capture2vr.gateway.resumable.store import UploadStore
 from capture2vr.gateway.resumable.uploads import ResumableUploads
 from capture2vr.gateway.scenes.news import SceneNews
 from capture2vr.gateway.scenes.reads import SceneReads
+from capture2vr.gateway.search.indexes import SearchIndexes
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.gateway.uploads.accept import Uploads
 from capture2vr.gateway.uploads.check_processes import CheckProcesses
@@ -51,8 +53,8 @@ from capture2vr.gateway.webhooks.outbox import Outbox
 from capture2vr.gateway.webhooks.send import Sender
 from capture2vr.gateway.webhooks.store import WebhookStore
 from capture2vr.gateway.workers.worker_client import WorkerPool
-from capture2vr.process.grpc_security import ClientCredentials
-from capture2vr.storage.catalogue.reader import tenant_rows
+from capture2vr.process.grpc_security import ClientCredentials, first_expiry
+from capture2vr.storage.catalogue.reader import tenant_parts
 from capture2vr.storage.catalogue.signing import Keys
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.store import Store
@@ -60,12 +62,13 @@ from capture2vr.storage.store import Store
 
 @dataclass(frozen=True, slots=True)
 class Equipment:
-    """What a gateway is started with. credentials: for calls to the workers"""
+    """What a gateway is started with. credentials: for calls to the workers; metrics_token: for GET /metrics, or "" """
 
     settings: GatewaySettings
     store: Store
     keys: Keys
     credentials: ClientCredentials
+    metrics_token: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,7 @@ class _Ground:
     audit: AuditLog
     job_store: AsyncJobStore
     workers: WorkerPool
+    search: SearchIndexes
 
 
 def open_gateway(equipment: Equipment, holder: str, stack: AsyncExitStack) -> Gateway:
@@ -94,7 +98,8 @@ def open_gateway(equipment: Equipment, holder: str, stack: AsyncExitStack) -> Ga
         settings=equipment.settings,
         store=equipment.store,
         keys=equipment.keys,
-        load_rows=tenant_rows(equipment.store),
+        parts=tenant_parts(equipment.store),
+        search=ground.search,
         metrics=ground.metrics,
         workers=ground.workers,
         job_store=ground.job_store,
@@ -105,7 +110,7 @@ def open_gateway(equipment: Equipment, holder: str, stack: AsyncExitStack) -> Ga
         scenes=_scenes(ground),
         webhooks=webhooks,
         records=RecordParts(ground.audit, _tenant_data(ground, captures, webhooks)),
-        upkeep=_upkeep(equipment),
+        upkeep=_upkeep(ground),
     )
 
 
@@ -117,14 +122,22 @@ def _open_ground(equipment: Equipment, stack: AsyncExitStack) -> _Ground:
     return _Ground(
         equipment=equipment,
         engine=engine,
-        metrics=Metrics(),
+        metrics=_metrics(equipment),
         checks=checks,
         pictures=stack.enter_context(closing(PictureProcesses())),
         access=_open_access(equipment, engine, stack),
         audit=stack.enter_context(closing(AuditLog(AuditStore(engine)))),
         job_store=stack.enter_context(closing(AsyncJobStore(JobStore(engine)))),
         workers=_open_workers(equipment, stack),
+        search=_open_search(equipment.settings, stack),
     )
+
+
+def _metrics(equipment: Equipment) -> Metrics:
+    metrics = Metrics()
+    if equipment.credentials.ca:
+        metrics.vitals.show_expiry("GATEWAY_EDGE_CA", first_expiry(equipment.credentials.ca))
+    return metrics
 
 
 def _open_access(equipment: Equipment, engine: Engine, stack: AsyncExitStack) -> AccessParts:
@@ -139,6 +152,7 @@ def _open_access(equipment: Equipment, engine: Engine, stack: AsyncExitStack) ->
         readers=ReadersCache(store),
         code_guesses=Guesses("code"),
         password_guesses=Guesses("password"),
+        metrics_token=equipment.metrics_token,
     )
 
 
@@ -152,6 +166,10 @@ def _open_workers(equipment: Equipment, stack: AsyncExitStack) -> WorkerPool:
     )
     stack.push_async_callback(workers.close)
     return workers
+
+
+def _open_search(settings: GatewaySettings, stack: AsyncExitStack) -> SearchIndexes:
+    return stack.enter_context(closing(SearchIndexes(settings.data_dir / "search", settings.search_bytes)))
 
 
 def _open_captures(ground: _Ground, stack: AsyncExitStack) -> CaptureParts:
@@ -190,6 +208,8 @@ def _tenant_data(ground: _Ground, captures: CaptureParts, webhooks: WebhookParts
         webhooks.outbox,
         webhooks.deliveries,
         captures.resumable.database,
+        ground.search,
+        ground.equipment.settings.jobs_days,
     )
 
 
@@ -201,15 +221,15 @@ def _dispatcher(ground: _Ground, holder: str) -> Dispatcher:
         store=ground.equipment.store,
         retry=Retry(settings.max_attempts, settings.retry_s),
         attach_for_s=settings.attach_for_s,
-        on_job_ended=ground.metrics.observe_job,
+        watch=ground.metrics.jobs,
     )
     return Dispatcher(dependencies, holder=holder, lease_s=settings.lease_s)
 
 
-def _upkeep(equipment: Equipment) -> UpkeepParts:
-    settings, store = equipment.settings, equipment.store
+def _upkeep(ground: _Ground) -> UpkeepParts:
+    settings, store = ground.equipment.settings, ground.equipment.store
     # A store that is no folder checks its disks itself.
     days = settings.scrub_days if isinstance(store, LocalStore) else 0.0
     scrub = Scrub(store, settings.data_dir / "scrub.json", days)
     snapshots = Snapshots(settings.database, settings.snapshots_dir, settings.snapshots)
-    return UpkeepParts(scrub, snapshots, DiskReserve(settings.data_dir))
+    return UpkeepParts(scrub, snapshots, DiskReserve(settings.data_dir), BackupRecords(ground.engine))

@@ -17,6 +17,7 @@ from capture2vr.gateway.opening import Equipment, open_gateway
 from capture2vr.gateway.resumable.expiry import Expiry
 from capture2vr.gateway.scenes.news import CHANNEL
 from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.gateway.vitals.vitals import Vitals
 
 _log = logging.getLogger(__name__)
 
@@ -60,6 +61,8 @@ def _background(gateway: Gateway) -> tuple[Coroutine[Any, Any, None], ...]:
         gateway.upkeep.snapshots.run(),
         gateway.upkeep.scrub.run(),
         gateway.upkeep.reserve.keep(),
+        gateway.search.keep(),
+        Vitals(gateway).run(),
         Expiry(gateway.captures.resumable, gateway.store, gateway.access.usage.add).run(),
         gateway.records.data.keep_retention(),
     )

@@ -25,6 +25,7 @@ from capture2vr.gateway.database_faults import Fault, fault_of
 from capture2vr.gateway.gateway import gateway_in
 from capture2vr.gateway.running import lock_folder
 from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.gateway.starting import StartingApp, answered_meanwhile, wait_for_schema
 from capture2vr.process.logs import configure
 from capture2vr.process.strict_settings import SettingsError
 from capture2vr.process.traces import start_tracing
@@ -46,7 +47,7 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
     try:
         start_tracing("capture2vr-gateway")
         app = create_app(settings, store, keys)
-        listening = _listen_with_keys(settings)
+        listening = _listen_when_ready(settings)
     # ImportError: the database's driver is not installed
     except (FolderInUse, OSError, SQLAlchemyError, ImportError, SettingsError) as error:
         _log.error("cannot start: %s", _why(error, settings))
@@ -79,6 +80,10 @@ def server_config(app: FastAPI, settings: GatewaySettings) -> uvicorn.Config:
     limits = ConnectionLimits(
         settings.limit_address_connections, lambda code: gateway_in(app).metrics.observe_refused_connection(code)
     )
+    return _config(app, limits)
+
+
+def _config(app: FastAPI | StartingApp, limits: ConnectionLimits, **more: Any) -> uvicorn.Config:
     protocol: Any = partial(LimitedProtocol, limits)
     return uvicorn.Config(
         app,
@@ -88,6 +93,7 @@ def server_config(app: FastAPI, settings: GatewaySettings) -> uvicorn.Config:
         access_log=False,
         timeout_graceful_shutdown=_GRACE_S,
         server_header=False,
+        **more,
     )
 
 
@@ -115,11 +121,34 @@ def refuse_without_keys(settings: GatewaySettings) -> None:
         engine.dispose()
 
 
-def _listen_with_keys(settings: GatewaySettings) -> socket.socket:
-    """Check who would be let in, and open the listening socket. Raises FolderInUse, SettingsError, OSError."""
+def _listen_when_ready(settings: GatewaySettings) -> socket.socket:
+    """Open the listening socket, and return it once the database is ready and it is known who would be let in.
+
+    Raises FolderInUse, SettingsError, OSError, SQLAlchemyError.
+    """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # as a container's first process it would be ignored
+    starting = StartingApp()
+    with lock_folder(settings):  # another gateway is told of before its port is
+        listening = _listen(settings)
+    try:
+        limits = ConnectionLimits(settings.limit_address_connections, lambda _: None)
+        with answered_meanwhile(uvicorn.Server(_config(starting, limits, lifespan="off")), partial(_serve, listening)):
+            wait_for_schema(partial(_check, settings), starting)
+    except BaseException:
+        listening.close()
+        raise
+    return listening
+
+
+def _check(settings: GatewaySettings) -> None:
     with lock_folder(settings):
         refuse_without_keys(settings)
-    return _listen(settings)
+
+
+def _serve(listening: socket.socket, server: uvicorn.Server) -> None:
+    """Serve on a socket of its own for the same port, as the server closes it."""
+    with listening.dup() as own:
+        server.run(sockets=[own])
 
 
 def _listen(settings: GatewaySettings) -> socket.socket:

@@ -8,8 +8,8 @@ from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import SettingsConfigDict
 
 from capture2vr.gateway.workers.worker_addresses import check_worker_address
-from capture2vr.process.grpc_security import ClientCredentials, read_client_credentials
-from capture2vr.process.strict_settings import LOOPBACK, CommaList, StrictSettings
+from capture2vr.process.grpc_security import ClientCredentials, check_token, read_client_credentials
+from capture2vr.process.strict_settings import LOOPBACK, CommaList, SettingsError, StrictSettings
 
 
 class GatewaySettings(StrictSettings):
@@ -25,6 +25,9 @@ class GatewaySettings(StrictSettings):
     # An access key with every scope that is created at the start where it is not known yet: for installations that have
     # their secrets before their database. Once revoked, it stays so.
     operator_key: SecretStr = SecretStr("")
+    # Token for GET /metrics alone, in place of an access key of scope operate, or a file that holds it.
+    metrics_token: SecretStr = SecretStr("")
+    metrics_token_file: Path | None = None
     data_dir: Path = Path("capture2vr-data")  # jobs database and staged uploads
     workers: CommaList = ("127.0.0.1:50051",)  # dns:///HOST:PORT: all addresses behind a name
     edge_ca: Path | None = None  # CA certificates (PEM) that verify the workers' certificates; none: gRPC without TLS
@@ -59,6 +62,11 @@ class GatewaySettings(StrictSettings):
     limit_address_requests_per_minute: int = Field(default=3_000, ge=0)
     limit_address_connections: int = Field(default=512, ge=0)  # open ones; behind a proxy all are the proxy's
 
+    # Of all search indexes of large collections, in data_dir: 250 bytes an asset; 0: each search reads all shards.
+    search_bytes: int = Field(default=2 << 30, ge=0)
+
+    # After which jobs that have ended are deleted, of tenants that have set no other number; 0: never.
+    jobs_days: int = Field(default=90, ge=0)
     snapshots: int = Field(default=7, ge=0)  # of the SQLite database, one a day, that are kept in data_dir; 0: none
     scrub_days: float = Field(default=7.0, ge=0)  # between two scrubs of a store that is a folder; 0: none
 
@@ -120,3 +128,17 @@ def worker_credentials(settings: GatewaySettings) -> ClientCredentials:
     """Read the CA and the token for calls to workers. Raises SettingsError that names the variable and the file."""
     names = ("GATEWAY_EDGE_CA", "GATEWAY_EDGE_TOKEN")
     return read_client_credentials(settings.edge_ca, settings.edge_token.get_secret_value(), names=names)
+
+
+def read_metrics_token(settings: GatewaySettings) -> str:
+    """Return the token of the settings or of their file; "" for none. Raises SettingsError that names the variable."""
+    token, file = settings.metrics_token.get_secret_value(), settings.metrics_token_file
+    if not token and file is not None:
+        try:
+            token = file.read_text().strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise SettingsError(f"GATEWAY_METRICS_TOKEN_FILE: {error}") from None
+        if not token:
+            raise SettingsError(f"GATEWAY_METRICS_TOKEN_FILE: {file} is empty")
+    check_token(token, "GATEWAY_METRICS_TOKEN")
+    return token

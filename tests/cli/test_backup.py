@@ -6,33 +6,45 @@ import fcntl
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, redirect_stderr
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from capture2vr.cli.backups.backup_folder import backups_in
+from capture2vr.cli.backups.backup_folder import NAME_TIME, backups_in
 from capture2vr.cli.backups.sealed_keys import PASSPHRASE_VARIABLE
 from capture2vr.cli.main import main
 from capture2vr.cli.up import free_port
+from capture2vr.gateway.access.store import AccessStore
+from capture2vr.gateway.backup.backup_records import BackupRecords, BackupTimes
+from capture2vr.gateway.backup.database_copy import Imported, import_database
 from capture2vr.gateway.database.database import open_engine
 from capture2vr.gateway.database.instance_lock import lock_instance
 from capture2vr.gateway.jobs.job import Order
 from capture2vr.gateway.jobs.store import JobStore
+from capture2vr.gateway.webhooks.store import WebhookStore
+from capture2vr.gateway.webhooks.tables import webhooks
 from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.catalogue.signing import generate_key
 from capture2vr.storage.local import LocalStore
-from capture2vr.storage.store import list_all
+from capture2vr.storage.object_backup import restore_objects
+from capture2vr.storage.settings import StorageSettings, open_store
+from capture2vr.storage.store import Store, list_all
 from tests.conftest import missing
 from tests.referees.postgres import programs, running
 from tests.referees.s3.server import S3Server
@@ -164,6 +176,10 @@ def test_all_comes_back_on_an_empty_machine(places: list[dict[str, object]], lea
         for _ in range(2):  # the second copies nothing again
             said = old.run("backup", "create", backups, "--with-objects", "--keys", old.keys, "--keep", 1)
         assert "1 older ones were removed" in said
+        assert "is whole, and was removed again" in old.run("backup", "drill", backups)
+        assert nothing_left_of_a_drill(old)
+        old.wait("/metrics", 'capture2vr_copy_seconds{copy="drill"} 1.')  # looked at every few seconds
+        assert re.search(r'^capture2vr_copy_seconds{copy="backup"} 1\.', metrics(old), re.MULTILINE)
         assert "every file of it is whole" in old.run("backup", "verify", backups)
         before = {name: old.pulled(name) for name in ("leaf", "twig")}
     shutil.rmtree(old.folder)
@@ -181,6 +197,24 @@ def test_all_comes_back_on_an_empty_machine(places: list[dict[str, object]], lea
         assert httpx.get(f"{new.url}/v1/assets/leaf", headers=new.bearer).json()["version"] == 2
     trusted = ("--trusted", new.keys / "containers" / "signing.pub")
     new.run("catalogue", "verify", "--store", "--all", *trusted)
+
+
+def metrics(machine: Machine) -> str:
+    return httpx.get(f"{machine.url}/metrics", headers=machine.bearer).raise_for_status().text
+
+
+def nothing_left_of_a_drill(machine: Machine) -> bool:
+    variables = machine.environment
+    named = {name.removeprefix("STORAGE_").lower(): text for name, text in variables.items() if "STORAGE_" in name}
+    if any(list_all(open_store(StorageSettings(**{**named, "signing_key": ()})), "uploads/")):
+        return False
+    if url := variables.get("GATEWAY_DATABASE_URL"):
+        engine = sa.create_engine(url)
+        schemas = sa.inspect(engine).get_schema_names()
+        engine.dispose()
+        if "capture2vr_drill" in schemas:
+            return False
+    return not (machine.folder / "gateway" / "drill").exists()
 
 
 def make_bucket(machine: Machine) -> None:
@@ -347,6 +381,14 @@ def test_a_newer_version_is_named(backups: Path, data: Path, tmp_path: Path) -> 
     assert older.returncode == 0, older.stderr
 
 
+def test_a_backup_in_a_newer_form_is_named(backups: Path, tmp_path: Path) -> None:
+    manifest = newest(backups) / "backup.json"
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "format": 99, "more": 1}))
+    for command, place in (("verify", []), ("restore", ["--data", tmp_path / "new"])):
+        refused = backup(command, backups, *place)
+        assert (refused.returncode, "newer version of capture2vr: install that version" in refused.stderr) == (2, True)
+
+
 def test_keys_are_read_by_their_passphrase_alone(backups: Path, data: Path, tmp_path: Path) -> None:
     secret = (tmp_path / "keys" / "signing").read_bytes()
     assert not any(secret in content for content in files(backups).values())
@@ -367,6 +409,16 @@ def test_keys_are_read_by_their_passphrase_alone(backups: Path, data: Path, tmp_
     assert len(backups_in(backups)) == 1
 
 
+def test_keys_come_back_where_nothing_else_is_yet(backups: Path, tmp_path: Path) -> None:
+    """Neither the store's secret nor a data folder: in compose another user restores the keys, first of all."""
+    nowhere = {"STORAGE_KIND": "s3", "STORAGE_SECRET_KEY_FILE": str(tmp_path / "none"), "STORAGE_ACCESS_KEY": "a"}
+    place = ("--only", "keys", "--keys", tmp_path / "k" / "containers", "--data", tmp_path / "new")
+    restored = backup("restore", backups, *place, **nowhere)
+    assert restored.returncode == 0, restored.stderr
+    assert (tmp_path / "k" / "containers" / "signing").read_bytes() == (tmp_path / "keys" / "signing").read_bytes()
+    assert not (tmp_path / "new").exists()
+
+
 def test_old_backups_go_with_what_only_they_have(backups: Path, data: Path) -> None:
     store = LocalStore(data / "store")
     for head in list(list_all(store, "")):
@@ -378,6 +430,65 @@ def test_old_backups_go_with_what_only_they_have(backups: Path, data: Path) -> N
     wanted = {json.loads(line)["sha256"] for line in lines.splitlines()}
     assert {path.name for path in (backups / "objects").rglob("*/*")} == wanted
     assert backup("verify", backups, "--at", name).returncode == 0
+
+
+def _backups_of(backups: Path, *days_ago: float) -> list[str]:
+    """Copies of the newest backup under the names of older ones."""
+    now, made = datetime.now(UTC), []
+    for each in days_ago:
+        made.append(f"{now - timedelta(days=each):{NAME_TIME}}")
+        shutil.copytree(newest(backups), backups / "backups" / made[-1])
+    return made
+
+
+@pytest.mark.parametrize(
+    ("keep", "kept"),
+    [
+        (["--keep", 2], [0]),
+        (["--keep-days", 30], [0, 1, 2]),
+        (["--keep", 1, "--keep-days", 5], [0]),
+        (["--keep", 4, "--keep-days", 5], [0, 1, 2]),
+        (["--keep-days", 0.01], []),
+    ],
+    ids=str,
+)
+def test_old_backups_are_kept_by_number_and_by_age(backups: Path, keep: list[object], kept: list[int]) -> None:
+    """The newest one stays, whatever is said."""
+    own = backups_in(backups)
+    older = _backups_of(backups, 1, 8, 29, 31, 400)
+    done = backup("prune", backups, *keep)
+    assert done.returncode == 0, done.stderr
+    assert backups_in(backups) == [*own, *(older[each] for each in kept)]
+    assert backup("verify", backups).returncode == 0, "what the newest one has is there"
+
+
+def test_without_a_word_no_backup_is_removed(backups: Path) -> None:
+    refused = backup("prune", backups)
+    assert (refused.returncode, "say which backups stay" in refused.stderr) == (2, True)
+
+
+def test_secrets_in_the_database_are_read_by_the_passphrase_alone(data: Path, tmp_path: Path) -> None:
+    """The key of sessions, and webhooks': whoever has the backup could sign with them."""
+    engine = open_engine(f"sqlite:///{data / 'gateway' / 'gateway.db'}")
+    secret = AccessStore(engine).secret("session")
+    made = WebhookStore(engine).create("default", "https://ada.example/hook", (), "", most=9)
+    assert made is not None
+    hook, signs = made
+    engine.dispose()
+    assert backup("create", tmp_path / "b", "--with-objects", "--data", data).returncode == 0
+    with zipfile.ZipFile(newest(tmp_path / "b") / "database.zip") as archive:
+        texts = [archive.read(name).decode() for name in archive.namelist()]
+    assert not any(secret in text or signs in text for text in texts)
+    for value, said in (("another one.", "is not the passphrase"), ("", f"set {PASSPHRASE_VARIABLE}")):
+        refused = backup("restore", tmp_path / "b", "--data", tmp_path / "new", **{PASSPHRASE_VARIABLE: value})
+        assert (refused.returncode, said in refused.stderr) == (2, True)
+    assert not list(list_all(LocalStore(tmp_path / "new" / "store"), "")), "nothing was restored"
+    assert backup("restore", tmp_path / "b", "--data", tmp_path / "new").returncode == 0
+    engine = open_engine(f"sqlite:///{tmp_path / 'new' / 'gateway' / 'gateway.db'}")
+    assert AccessStore(engine).secret("session") == secret
+    with engine.connect() as db:
+        assert db.execute(sa.select(webhooks.c.id, webhooks.c.secret)).all() == [(hook.id, signs)]
+    engine.dispose()
 
 
 @pytest.mark.parametrize("part", ["backup.json", "objects.json.gz"])
@@ -448,9 +559,82 @@ def test_a_full_disk_is_said_in_a_sentence(data: Path, small_disk: Path) -> None
     store.put("captures/cap_1.zip", os.urandom(300_000), content_type="application/zip")
     full = backup("create", small_disk, "--with-objects", "--data", data)
     assert (full.returncode, f"{small_disk}: No space left on device" in full.stderr) == (2, True)
+    assert "remove old backups with `capture2vr backup prune`" in full.stderr
     assert backups_in(small_disk) == []
+    assert files(small_disk).keys() == {"lock"}, "the disk is as free as before"
     store.delete("captures/cap_1.zip")
     assert backup("create", small_disk, "--with-objects", "--data", data).returncode == 0
+
+
+def times_in(data: Path) -> BackupTimes:
+    """What the database of `up` knows of backups."""
+    engine = open_engine(f"sqlite:///{data / 'gateway' / 'gateway.db'}")
+    try:
+        return BackupRecords(engine).times()
+    finally:
+        engine.dispose()
+
+
+def test_the_database_knows_when_it_was_saved_and_when_that_was_proven(
+    backups: Path, data: Path, tmp_path: Path
+) -> None:
+    began = time.time()
+    made = times_in(data).made
+    assert made is not None
+    assert began - HANG_S < made <= began
+    before = files(data)
+    drilled = backup("drill", backups, "--data", data)
+    assert drilled.returncode == 0, drilled.stderr
+    assert "is whole, and was removed again" in drilled.stderr
+    proven = times_in(data).proven
+    assert proven is not None
+    assert proven >= began
+    left = files(data).keys() - before.keys()
+    assert {Path(name).name for name in left} <= {"drill.lock", "gateway.db-wal", "gateway.db-shm"}
+    assert backup("restore", backups, "--data", tmp_path / "new").returncode == 0
+    assert times_in(tmp_path / "new").made == made, "the one that it was restored from is there"
+
+
+def test_a_drill_finds_what_is_not_as_in_the_backup(backups: Path, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row that an import loses, and an object that the disk changes while it is written."""
+    import capture2vr.cli.backups.drill as drill
+
+    def import_less(url: str, *arguments: Any) -> Imported:
+        done = import_database(url, *arguments)
+        engine = open_engine(url)
+        with engine.begin() as db:
+            db.exec_driver_sql("DELETE FROM leases")
+        engine.dispose()
+        return done
+
+    def restore_less(store: Store, *arguments: Any) -> int:
+        count = restore_objects(store, *arguments)
+        assert isinstance(store, LocalStore)
+        path = store.path(next(head.name for head in list_all(store, "assets/")))
+        path.write_bytes(bytes(path.stat().st_size))
+        return count
+
+    monkeypatch.setattr(drill, "import_database", import_less)
+    monkeypatch.setattr(drill, "restore_objects", restore_less)
+    found = backup("drill", backups, "--data", data)
+    assert found.returncode == 1
+    assert "not as in the backup: table leases: 0 of 1 rows" in found.stderr
+    assert "not as in the backup: assets/" in found.stderr
+    assert times_in(data).proven is None
+    assert not (data / "gateway" / "drill").exists()
+
+
+def test_a_drill_that_was_killed_is_cleaned_up_by_the_next(backups: Path, data: Path) -> None:
+    (data / "gateway" / "drill" / "store").mkdir(parents=True)
+    (data / "gateway" / "drill" / "gateway.db").write_bytes(b"half")
+    assert backup("drill", backups, "--data", data).returncode == 0
+    assert not (data / "gateway" / "drill").exists()
+
+
+def test_a_drill_needs_room(backups: Path, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1_000_000))
+    refused = backup("drill", backups, "--data", data)
+    assert (refused.returncode, "1 MB are free, and the drill needs" in refused.stderr) == (2, True)
 
 
 def test_what_cannot_be_done_is_said_in_a_sentence(data: Path, backups: Path, tmp_path: Path) -> None:

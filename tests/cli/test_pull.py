@@ -19,11 +19,12 @@ from capture2vr.client.pull import default_cache
 from capture2vr.client.seen_version import SeenVersion, state_folder
 from capture2vr.errors import BadInput
 from capture2vr.storage.bundle import content_name, sha256_hex
-from capture2vr.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
+from capture2vr.storage.catalogue.change_entry import remove
+from capture2vr.storage.catalogue.collection import Row, describe_shard, shard_data
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.reader import parse_manifest
-from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.root import Index, root_name, sign_index
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from capture2vr.storage.memory import MemoryStore
 from tests.support.bundles import bundle
@@ -58,11 +59,11 @@ class Site:
         return rogue(found) if rogue else (200, found)
 
     def _found(self, path: str) -> bytes:
-        match path.split("/")[1:]:
+        match path.partition("?")[0].split("/")[1:]:
             case ["v1", "assets", key]:
                 return json.dumps(dict(read_entry(self.store, key).document)).encode()
             case ["v1", "collections", name]:
-                return json.dumps({**json.loads(self.store.get(index_name(name))), "base": f"{self.url}/o/"}).encode()
+                return json.dumps({**json.loads(self.store.get(root_name(name))), "base": f"{self.url}/o/"}).encode()
             case ["o", *name]:
                 return self.store.get("/".join(name))
         raise FileNotFoundError(path)
@@ -144,7 +145,7 @@ def test_what_was_signed_arrives_and_is_kept(
 
 def test_the_gateway_says_where_an_asset_is(site: Site, pull: Pull, tmp_path: Path) -> None:
     pull(collection="")
-    assert f"/v1/collections/{HOME}" in site.asked
+    assert f"/v1/collections/{HOME}?form=tree" in site.asked
     assert "lod0.glb" in held(tmp_path / "out")
 
 
@@ -163,10 +164,10 @@ def test_without_a_key_it_is_said_what_was_not_checked(
 
 def test_an_older_catalogue_is_refused_with_a_way_out(site: Site, pull: Pull, tmp_path: Path) -> None:
     pull(cache=tmp_path / "other")
-    older = site.store.get(index_name(HOME))
+    older = site.store.get(root_name(HOME))
     site.publish("two")
     pull()
-    site.store.put(index_name(HOME), older, content_type="application/json", cache_control="no-cache")
+    site.store.put(root_name(HOME), older, content_type="application/json", cache_control="no-cache")
     before = held(tmp_path / "out")
     with pytest.raises(
         BadInput, match=r"is older: version 1 is older than 2.*delete .*seen.*was not changed"
@@ -206,7 +207,7 @@ TAMPERED = {
     "another manifest": ("manifest", _flipped, "hash that the catalogue lists"),
     "a cut manifest": ("manifest", lambda data: (200, data[:50]), "hash that the catalogue lists"),
     "no manifest": ("manifest", lambda data: (404, b""), "is missing"),
-    "another shard": ("shard", _flipped, "hash that the index lists"),
+    "another shard": ("shard", _flipped, "hash that the catalogue lists"),
     "a long shard": ("shard", lambda data: (200, data + b" "), "more than"),
     "no shard": ("shard", lambda data: (404, b""), "not"),
     "a changed index": (f"collections/{HOME}", lambda data: (200, data.replace(b"version", b"Version")), "signature"),
@@ -391,11 +392,11 @@ def test_a_hostile_publisher_writes_nothing_outside(
     row = Row(KEY, "", (), 9, "refined", 1, sha256_hex(manifest), "")
     site.store.put(name, content, content_type="application/octet-stream")
     site.store.put(row.manifest_name, manifest, content_type="application/json")
-    rows = shard_data([row], 9)
+    rows = shard_data([row], "9")
     shard = describe_shard(HOME, [row], rows)
     site.store.put(shard.name, rows, content_type="application/json")
     index = sign_index(Index(HOME, 9, "now", (shard,)), site.keys.signers)
-    site.store.put(index_name(HOME), index, content_type="application/json", cache_control="no-cache")
+    site.store.put(root_name(HOME), index, content_type="application/json", cache_control="no-cache")
     with pytest.raises(BadInput, match=said):
         pull()
     assert not (tmp_path / "out").exists()

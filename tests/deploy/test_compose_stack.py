@@ -5,33 +5,35 @@
 
 from __future__ import annotations
 
-import json
 import os
+import shlex
 import shutil
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 
+from capture2vr.cli.deployment.deploy_work import CONTAINER_USER
+from capture2vr.storage.catalogue.signing import generate_key
 from tests.cli.local.test_run import capture2vr
 from tests.referees.docker import stand_ins
+from tests.referees.docker.client import Client
 from tests.referees.docker.engine import Engine, running, why_not
 from tests.referees.docker.figures import Figures
+from tests.referees.docker.next_release import CONTRACTED, EXPANDED, releases, take_next, take_ours
+from tests.referees.docker.requests import asked_meanwhile
 from tests.referees.docker.stack import Stack, wait_until
 from tests.support.clouds import write_ply
-from tests.support.patience import PATIENCE_S
 from tests.support.repository import ROOT
 
 pytestmark = pytest.mark.compose
 
 _EDGE_BYTES, _GATEWAY_BYTES = 1.2e9, 300e6
-_AWAY = {502, 503, 504}
-_ENDED = {"SUCCEEDED", "FAILED", "CANCELLED"}
+_RESTORE_S = 60.0  # at most, of the one command after `down -v`
 _PASSWORD = "of-a-database-of-tests"
 
 
@@ -95,64 +97,6 @@ def dome(tmp_path_factory: pytest.TempPathFactory) -> Path:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction[:, 1] = np.abs(direction[:, 1])
     return write_ply(tmp_path_factory.mktemp("dome") / "dome.ply", 0.3 * direction)
-
-
-class Client:
-    """Asks the gateways through the edge cache; one that is away is asked again."""
-
-    def __init__(self, stack: Stack) -> None:
-        self._url = stack.url
-
-    def ask(self, method: str, path: str, **request: Any) -> Any:
-        """The JSON of an answer."""
-        answers: list[httpx.Response] = []
-
-        def is_answered() -> bool:
-            answers.append(httpx.request(method, f"{self._url}{path}", timeout=PATIENCE_S, **request))
-            return answers[-1].status_code not in _AWAY
-
-        wait_until(is_answered, f"{method} {path}")
-        assert answers[-1].is_success, answers[-1].text
-        return answers[-1].json()
-
-    def upload(self, file: Path) -> str:
-        """Store a capture; its id."""
-        files = {"file": (file.name, file.read_bytes())}
-        return str(self.ask("POST", "/v1/captures", files=files)["capture"])
-
-    def start(self, capture: str, key: str, preset: str) -> str:
-        """Start a job; its id."""
-        body = {"capture": capture, "asset_key": key, "preset": preset}
-        return str(self.ask("POST", "/v1/jobs", json=body, headers={"Idempotency-Key": key})["id"])
-
-    def job(self, job: str) -> dict[str, Any]:
-        return dict(self.ask("GET", f"/v1/jobs/{job}"))
-
-    def await_stage(self, job: str, stage: str) -> None:
-        wait_until(lambda: self.job(job)["stage"] == stage, f"{job} in {stage}: {self.job(job)}")
-
-    def await_end(self, job: str) -> dict[str, Any]:
-        """Wait until a job has ended, and see that it ended well, and once."""
-        wait_until(lambda: self.job(job)["state"] in _ENDED, f"{job} ends: {self.job(job)}")
-        self.require_one_end(job)
-        return self.job(job)
-
-    def require_one_end(self, job: str) -> None:
-        """Of all events of a job one is its end; of all versions of its asset one is the last."""
-        lines = httpx.get(f"{self._url}/v1/jobs/{job}/events").raise_for_status().text.splitlines()
-        datas = [json.loads(line[5:]) for line in lines if line.startswith("data:") and line[5:].strip()]
-        numbers = [data["seq"] for data in datas]
-        assert numbers == sorted(set(numbers)), "no event twice"
-        assert [data["state"] for data in datas if data.get("state") in _ENDED] == ["SUCCEEDED"], self.job(job)
-        found = self.job(job)
-        entry = self.ask("GET", f"/v1/assets/{found['asset_key']}")
-        assert entry["version"] == found["asset"]["version"]
-        lasts = [each for each in entry["versions"] if each.get("last", each["state"] == "refined")]
-        assert [each["version"] for each in lasts] == [entry["version"]], entry["versions"]
-
-    def workers(self) -> int:
-        """How many workers the gateway has heard of."""
-        return len(self.ask("GET", "/v1/service")["workers"])
 
 
 @pytest.fixture
@@ -264,6 +208,82 @@ def test_workers_that_go_lose_nothing(stack: Stack, client: Client, dome: Path, 
     )
 
 
+@pytest.fixture(scope="module")
+def backups(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the backups, as `deploy init` makes it, and beside it one of keys."""
+    folder: Path = tmp_path_factory.mktemp("saved") / "backups"
+    keys = folder.with_name("keys")
+    for each in (folder, keys):
+        each.mkdir(mode=0o700)
+    generate_key(keys / "signing")
+    for each in (folder, keys, *keys.iterdir()):
+        os.chown(each, CONTAINER_USER, CONTAINER_USER)
+    for parent in folder.parents[:3]:
+        parent.chmod(0o755)  # pytest's own are root's alone
+    return folder
+
+
+def _save(stack: Stack, backups: Path, *arguments: str, **variables: str) -> str:
+    """Run the service `backup`, as the runbook has it; what it said."""
+    stack.variables |= {
+        "BACKUPS": str(backups),
+        "KEYS": str(backups.with_name("keys")),
+        "CAPTURE2VR_BACKUP_PASSPHRASE": "a passphrase of a test",
+    } | variables
+    try:
+        return stack.compose("run", "--rm", "backup", *arguments)
+    finally:
+        for name in ("BACKUPS", "KEYS", "CAPTURE2VR_BACKUP_PASSPHRASE", *variables):
+            del stack.variables[name]
+
+
+def _saved_lost_and_restored(stack: Stack, figures: Figures, backups: Path, kind: str) -> None:
+    """Save all, lose all, and bring it back by one command."""
+    client = Client(stack)
+    before = {path: client.ask("GET", path) for path in ("/v1/jobs?limit=200", "/v1/assets?limit=100")}
+    _save(stack, backups)
+    began = time.monotonic()
+    _save(stack, backups, "drill", "/backups")
+    figures.note(f"{kind}: `run --rm backup drill /backups`", f"{time.monotonic() - began:.1f} s")
+    stack.down("-v")
+    began = time.monotonic()
+    _save(stack, backups, "restore", "/backups")
+    restored_s = time.monotonic() - began
+    figures.note(f"{kind}: `run --rm backup restore /backups` after `down -v`", f"{restored_s:.1f} s, one command")
+    figures.note("… and `up --wait`", f"{stack.up():.1f} s")
+    wait_until(lambda: client.workers() == 1, "a worker")
+    assert {path: client.ask("GET", path) for path in before} == before
+    for asset in before["/v1/assets?limit=100"]["assets"]:
+        for file in client.ask("GET", f"/v1/assets/{asset['key']}")["lods"]:
+            httpx.get(file["url"]).raise_for_status()
+    assert restored_s <= _RESTORE_S
+
+
+def test_all_comes_back_after_down_v_on_sqlite(
+    stack: Stack, client: Client, dome: Path, figures: Figures, backups: Path
+) -> None:
+    client.await_end(client.start(client.upload(dome), "saved", "draft"))
+    _saved_lost_and_restored(stack, figures, backups, "SQLite")
+
+
+def test_keys_come_back_first_where_they_are_lost(stack: Stack, backups: Path, tmp_path: Path) -> None:
+    """By the runbook's own command."""
+    (line,) = (
+        each for each in (ROOT / "deploy" / "runbook.md").read_text().splitlines() if "--only keys --keys /new/" in each
+    )
+    (tmp_path / "keys").mkdir(mode=0o700)
+    text = line.replace('"$PWD"', str(tmp_path)).replace("=…", "=a passphrase of a test")
+    arguments = [
+        word.replace("=a", "=a passphrase of a test") if "PASSPHRASE" in word else word
+        for word in shlex.split(text.replace("=a passphrase of a test", "=a"))
+    ]
+    stack.variables["BACKUPS"] = str(backups)
+    stack.compose(*arguments[2:])
+    del stack.variables["BACKUPS"]
+    restored = (tmp_path / "keys" / "containers" / "signing").read_bytes()
+    assert restored == (backups.with_name("keys") / "signing").read_bytes()
+
+
 def test_two_gateways_share_a_postgres(stack: Stack, dome: Path, figures: Figures) -> None:
     stack.down()
     stack.profiles = ("postgres",)
@@ -316,6 +336,85 @@ def test_a_gateway_is_killed_beside_another(stack: Stack, dome: Path, figures: F
     ended = client.await_end(job)
     cost = f"{ended['elapsed_s']:.1f} s, attempts {ended['attempts']}, ended once"
     figures.note(f"kill -9 of gateway {number + 1} of 2 in mid-job", cost)
+
+
+def test_all_comes_back_after_down_v_on_postgres(stack: Stack, figures: Figures, backups: Path) -> None:
+    """Before the next release comes: what it leaves in the database is restored by it alone."""
+    _saved_lost_and_restored(stack, figures, backups, "Postgres")
+
+
+def test_the_next_release_comes_and_goes_beside_this_one_while_jobs_run(
+    stack: Stack, dome: Path, figures: Figures, upgraded: Engine
+) -> None:
+    """The runbook's order: the database first, then new gateways beside the old, then the old ones go. And back."""
+    client = Client(stack)
+    jobs = [client.start(client.upload(dome), f"upgraded-{number}", "standard") for number in range(3)]
+    client.await_stage(jobs[0], "FITTING")
+    with asked_meanwhile(stack) as load:
+        for take, schema in ((take_next, EXPANDED), (take_ours, EXPANDED)):
+            take(upgraded)
+            stack.compose("run", "--rm", "migrate")
+            assert _schema(stack) == schema
+            old = stack.containers("gateway")
+            stack.up("--no-deps", "--no-recreate", "--scale", "gateway=4", "gateway")
+            beside = Client(stack)
+            jobs.append(beside.start(beside.upload(dome), f"beside-{len(jobs)}", "draft"))
+            for gateway in old:
+                upgraded.docker("stop", gateway)
+                upgraded.docker("rm", gateway)
+            stack.up("--no-deps", "--no-recreate", "--scale", "gateway=2", "gateway")
+    assert all("of a newer gateway, with which this one" in stack.logs(each) for each in stack.containers("gateway"))
+    for job in jobs:
+        client.await_end(job)
+    figures.note(
+        "next release and back, gateways one pair after the other",
+        f"{load}; {len(jobs)} of {len(jobs)} jobs ended once",
+    )
+    assert load.failed == 0
+
+
+def test_a_database_that_this_release_cannot_read_makes_no_endless_restart(
+    stack: Stack, figures: Figures, backups: Path, upgraded: Engine
+) -> None:
+    """Its gateway waits, says why, and goes on once the backup of before is restored."""
+    before = Client(stack).ask("GET", "/v1/jobs?limit=200")
+    _save(stack, backups)
+    take_next(upgraded, contracted=True)
+    stack.compose("run", "--rm", "migrate")
+    assert _schema(stack) == CONTRACTED
+    take_ours(upgraded)
+    with pytest.raises(RuntimeError, match="restore the backup that was made before the upgrade"):
+        stack.compose("run", "--rm", "migrate")
+    gateways = stack.containers("gateway")
+    for gateway in gateways:
+        upgraded.docker("restart", gateway)
+    for gateway in gateways:
+        wait_until(lambda gateway=gateway: "waiting, and answering 503" in stack.logs(gateway), "it says why")  # type: ignore[misc]
+        assert stack.inspect(gateway)["RestartCount"] == 0
+        assert stack.inspect(gateway)["State"]["Running"]
+    assert httpx.get(f"{stack.url}/readyz").json()["code"] == "SCHEMA_NEWER"
+    began = time.monotonic()
+    stack.compose("stop", "gateway")
+    stack.compose("rm", "-sf", "gateway", "migrate", "backup", "postgres")
+    upgraded.docker("volume", "rm", "c2v_database")
+    take_next(upgraded)  # the backup is of its schema, as it was made after going back from it
+    _save(stack, backups, "restore", "/backups", "--only", "database")
+    take_ours(upgraded)
+    stack.up("--scale", "gateway=2")
+    figures.note("back from a database that it cannot read", f"{time.monotonic() - began:.1f} s")
+    assert Client(stack).ask("GET", "/v1/jobs?limit=200") == before
+
+
+def _schema(stack: Stack) -> str:
+    url, query = f"postgresql://capture2vr:{_PASSWORD}@127.0.0.1/capture2vr", "SELECT version_num FROM alembic_version"
+    return stack.compose("exec", "-T", "postgres", "psql", url, "-tAc", query).strip()
+
+
+@pytest.fixture(scope="module")
+def upgraded(engine: Engine) -> Iterator[Engine]:
+    """The engine, which has this release's image again at the end."""
+    with releases(engine):
+        yield engine
 
 
 def test_in_the_end_every_job_has_ended_well(stack: Stack, figures: Figures) -> None:

@@ -73,8 +73,17 @@ def test_only_the_cache_is_published_and_only_on_loopback(compose: list[str]) ->
 
 
 @pytest.mark.docker
+def test_what_a_restore_needs_is_started_with_it(compose: list[str]) -> None:
+    """After `down -v` nothing runs: the bucket waits for the store, and Postgres is started where its profile is on."""
+    assert "backup" not in _config(compose)["services"], "it ends, and is not one of those that go on"
+    needed = _config(compose, "backup", "postgres")["services"]["backup"]["depends_on"]
+    assert needed["bucket"]["condition"] == "service_completed_successfully"
+    assert (needed["postgres"]["condition"], needed["postgres"]["required"]) == ("service_healthy", False)
+
+
+@pytest.mark.docker
 def test_containers_are_read_only_without_capabilities(compose: list[str]) -> None:
-    services = _config(compose, "gpu", "postgres")["services"]
+    services = _config(compose, "gpu", "postgres", "backup")["services"]
     assert services.keys() >= {"gateway", "edge", "edge-gpu", "store", "secret", "bucket", "cdn"}
     for name, service in services.items():
         assert service["read_only"] is True, name
@@ -85,7 +94,7 @@ def test_containers_are_read_only_without_capabilities(compose: list[str]) -> No
 @pytest.mark.docker
 def test_no_container_takes_the_whole_machine_or_disk(compose: list[str]) -> None:
     """CPUs have a limit only where one is set: more than a machine has is an error of Docker's."""
-    for name, service in _config(compose, "gpu", "postgres")["services"].items():
+    for name, service in _config(compose, "gpu", "postgres", "backup")["services"].items():
         assert 0 < int(service["mem_limit"]) <= 16 << 30, name
         assert 0 < service["pids_limit"] <= 4096, name
         assert float(service.get("cpus", 0)) == 0, name
@@ -117,7 +126,8 @@ def test_postgres_exists_only_in_its_profile_and_is_reached_by_gateways_alone(co
     database = services["postgres"]
     assert (database["read_only"], database["cap_drop"], list(database["networks"])) == (True, ["ALL"], ["inside"])
     assert "ports" not in database
-    assert [name for name, service in services.items() if "hush" in json.dumps(service)] == ["gateway", "postgres"]
+    told = [name for name, service in services.items() if "hush" in json.dumps(service)]
+    assert told == ["gateway", "migrate", "postgres"]
 
 
 @pytest.mark.docker
@@ -280,7 +290,10 @@ def test_every_variable_is_one_that_the_services_know(compose: list[str]) -> Non
 
 # Folders of the image, what needs a folder of its own mounted, a drain that compose has a limit for, and what a store
 # that is a folder has.
-_NOT_OF_COMPOSE = {"EDGE_HOST", "EDGE_SCRATCH", "EDGE_KTX2", "EDGE_PRESETS", "EDGE_DRAIN_S", "GATEWAY_SCRUB_DAYS"}
+_NOT_OF_COMPOSE = {
+    *("EDGE_HOST", "EDGE_SCRATCH", "EDGE_KTX2", "EDGE_MODELS", "EDGE_PRESETS", "EDGE_DRAIN_S"),
+    "GATEWAY_SCRUB_DAYS",
+}
 
 
 def test_a_setting_of_the_runbook_reaches_its_service() -> None:
@@ -448,7 +461,9 @@ def test_workers_and_gateways_start_at_once(compose: list[str]) -> None:
     made = {name for name, others in waiting.items() if "secret" in others}
     assert made == {"gateway", "edge", "edge-gpu", "store", "bucket"}, "within a second, by a shell"
     others = {name: names - {"secret"} for name, names in waiting.items() if names - {"secret"}}
-    assert others == {"gateway": {"postgres"}, "cdn": {"bucket"}, "bucket": {"store"}}
+    # The database is brought up to date first, in two seconds.
+    gateway = {"gateway": {"migrate", "postgres"}, "migrate": {"postgres"}}
+    assert others == {**gateway, "cdn": {"bucket"}, "bucket": {"store"}}
 
 
 @pytest.mark.docker

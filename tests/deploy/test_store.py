@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 
 import grpc
+import httpx
 import pytest
 import yaml
 
@@ -26,7 +27,7 @@ _SERVICES = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"
 def make_secret(folder: Path) -> str:
     """Run what the service `secret` runs, in another folder; the secret."""
     shell, flags, script = _SERVICES["secret"]["entrypoint"]
-    subprocess.run([shell, flags, script.replace("/secret", str(folder))], check=True)
+    subprocess.run([shell, flags, script.replace("$$", "$").replace("/secret", str(folder))], check=True)
     return (folder / "store").read_text()
 
 
@@ -106,6 +107,27 @@ def test_nobody_makes_himself_a_user_by_the_port_for_grpc(s3_server: S3Server) -
     assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
 
 
+@pytest.mark.slow
+@pytest.mark.s3
+def test_a_url_that_is_signed_for_the_services_name_is_good_behind_its_ingress(s3_server: S3Server) -> None:
+    """The chart sends what is asked below the bucket's name to the store, with the name that was asked for."""
+    given = {"access_key": s3_server.access_key, "secret_key": s3_server.secret_key, "presign_s": 60}
+    store = S3Store(bucket="signed", endpoint=s3_server.endpoint, public_endpoint="https://vr.example", **given)
+    store.create_bucket()
+    store.close_to_strangers()
+    store.put("assets/dress/a.glb", b"mesh", content_type="model/gltf-binary")
+    host, path = store.presigned_url("assets/dress/a.glb").removeprefix("https://").split("/", 1)
+    assert (host, path.partition("?")[0]) == ("vr.example", "signed/assets/dress/a.glb")
+    asked = {"X-Forwarded-Proto": "https", "X-Forwarded-Host": host, "X-Forwarded-Port": "443", "Host": host}
+    assert httpx.get(f"{s3_server.endpoint}/{path}", headers=asked).content == b"mesh"
+    refused = [
+        httpx.get(f"{s3_server.endpoint}/{path}", headers=asked | {"Host": "b", "X-Forwarded-Host": "b"}),
+        httpx.get(f"{s3_server.endpoint}/{path.replace('a.glb', 'b.glb', 1)}", headers=asked),
+        httpx.get(f"{s3_server.endpoint}/{path.partition('?')[0]}", headers=asked),
+    ]
+    assert [each.status_code for each in refused] == [403, 403, 403]
+
+
 def test_all_but_s3_listen_on_loopback() -> None:
     """Master, volume and filer ask for no key."""
     command = (ROOT / "deploy" / "store.py").read_text()
@@ -115,7 +137,7 @@ def test_all_but_s3_listen_on_loopback() -> None:
 
 def test_the_secret_is_shared_by_those_who_need_it() -> None:
     holders = {name for name, service in _SERVICES.items() if "secret:/secret:ro" in service.get("volumes", ())}
-    assert holders == {"gateway", "edge", "edge-gpu", "store", "bucket"}
+    assert holders == {"gateway", "edge", "edge-gpu", "store", "bucket", "backup", "prometheus"}
     writers = {name for name, service in _SERVICES.items() if "secret:/secret" in service.get("volumes", ())}
     assert writers == {"secret"}
 

@@ -8,8 +8,10 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import psutil
 
 from capture2vr.cli.up import free_port
 
@@ -23,7 +25,9 @@ def programs() -> Path | None:
 
 
 class PostgresServer:
-    """A server with a cluster of its own in a folder. Postgres refuses to run as root, so root lends it a user."""
+    """A server with a cluster of its own in a folder, which is made where there is none. Postgres refuses to run as
+    root, so root lends it a user.
+    """
 
     def __init__(self, programs: Path, folder: Path) -> None:
         self._programs, self._folder, self._port = programs, folder, free_port()
@@ -32,7 +36,8 @@ class PostgresServer:
             shutil.chown(folder, "postgres")
         text = ["-E", "UTF8", "--locale", "C"]  # the machine's own locale may be none
         initialise = [programs / "initdb", "-D", folder / "data", "-A", "trust", "-U", "test", "-N", *text]
-        subprocess.run([*self._user, *initialise], check=True, capture_output=True, cwd=folder)
+        if not (folder / "data").exists():
+            subprocess.run([*self._user, *initialise], check=True, capture_output=True, cwd=folder)
 
     @property
     def url(self) -> str:
@@ -46,6 +51,22 @@ class PostgresServer:
             command = [*self._user, self._programs / "postgres", *flags]
             self._running = subprocess.Popen(command, stdout=log, stderr=log, cwd=self._folder)
         _wait([self._programs / "pg_isready", "-h", "127.0.0.1", "-p", str(self._port)], self._folder / "log")
+
+    def kill(self) -> None:
+        """End it as a power cut does. What was committed is there when it starts again."""
+        first = psutil.Process(self.pid)
+        serving = first.children()
+        for process in (first, *serving):
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
+        psutil.wait_procs((first, *serving), _START_S)
+        self._running.wait(_START_S)
+        (self._folder / "data" / "postmaster.pid").unlink()
+
+    @property
+    def pid(self) -> int:
+        """Its first process, whose children serve connections."""
+        return int((self._folder / "data" / "postmaster.pid").read_text().splitlines()[0])
 
     def stop(self) -> None:
         """Stop the server. Connections are cut, and what was not committed is rolled back."""

@@ -17,11 +17,20 @@ app.kubernetes.io/component: {{ .component }}
 {{- end }}
 
 {{- define "capture2vr.image" -}}
-{{ .root.Values.image.registry }}{{ .image }}:{{ .root.Values.image.tag | default .root.Chart.AppVersion }}
+{{- $named := print .root.Values.image.registry .image -}}
+{{- if contains "@sha256:" .image -}}
+{{ $named }}
+{{- else -}}
+{{ $named }}:{{ .root.Values.image.tag | default .root.Chart.AppVersion }}
+{{- end -}}
 {{- end }}
 
 {{- define "capture2vr.pod" -}}
 automountServiceAccountToken: false
+enableServiceLinks: false  # else a release named gateway has variables that look like settings
+{{- with .Values.serviceAccount }}
+serviceAccountName: {{ . }}
+{{- end }}
 {{- with .Values.image.pullSecrets }}
 imagePullSecrets:
   {{- range . }}
@@ -50,10 +59,10 @@ securityContext:
 - {name: STORAGE_REGION, value: {{ .Values.storage.region | quote }}}
 - {name: STORAGE_COLLECTION, value: {{ .Values.storage.collection | quote }}}
 - {name: STORAGE_PRESIGN_S, value: {{ .Values.storage.presignSeconds | quote }}}
-{{- with .Values.storage.endpoint }}
+{{- with include "capture2vr.endpoint" . }}
 - {name: STORAGE_ENDPOINT, value: {{ . | quote }}}
 {{- end }}
-{{- with .Values.storage.publicEndpoint }}
+{{- with include "capture2vr.publicEndpoint" . }}
 - {name: STORAGE_PUBLIC_ENDPOINT, value: {{ . | quote }}}
 {{- end }}
 {{- with .Values.storage.baseUrl }}
@@ -65,6 +74,33 @@ securityContext:
 - name: STORAGE_SECRET_KEY
   valueFrom: {secretKeyRef: {name: {{ . }}, key: secret-key}}
 {{- end }}
+{{- end }}
+
+{{- define "capture2vr.endpoint" -}}
+{{- if .Values.store.enabled -}}
+http://{{ include "capture2vr.name" . }}-store:9000
+{{- else -}}
+{{ .Values.storage.endpoint }}
+{{- end -}}
+{{- end }}
+
+{{- /* Whoever asks publicUrl for an object of the chart's own store gets it from there: ingress.yaml, gatewayapi.yaml. */ -}}
+{{- define "capture2vr.publicEndpoint" -}}
+{{- if and .Values.store.enabled (not .Values.storage.publicEndpoint) -}}
+{{ trimSuffix "/" .Values.publicUrl }}
+{{- else -}}
+{{ .Values.storage.publicEndpoint }}
+{{- end -}}
+{{- end }}
+
+{{- /* Paths of the store's objects that clients read, by URLs that the gateway has signed. */ -}}
+{{- define "capture2vr.objectPaths" -}}
+{{- if and .Values.store.enabled (not .Values.storage.publicEndpoint) -}}
+{{- $bucket := .Values.storage.bucket -}}
+{{ list (printf "/%s/assets/" $bucket) (printf "/%s/collections/" $bucket) (printf "/%s/tenants/" $bucket) | toJson }}
+{{- else -}}
+[]
+{{- end -}}
 {{- end }}
 
 {{- define "capture2vr.signing" -}}
@@ -94,6 +130,25 @@ securityContext:
 {{- range $pool, $worker := .Values.workers }}
 {{ $pool }}: {{ mergeOverwrite (deepCopy $.Values.workerDefaults) ($worker | default dict) | toJson }}
 {{- end }}
+{{- end }}
+
+{{- /* Thousandths of a CPU: 2, "2", 1.5, 500m. */ -}}
+{{- define "capture2vr.milliCpu" -}}
+{{- $text := toString . -}}
+{{- if hasSuffix "m" $text -}}
+{{ trimSuffix "m" $text | int }}
+{{- else -}}
+{{ mulf (float64 $text) 1000 | int }}
+{{- end -}}
+{{- end }}
+
+{{- /* Threads of a job: the CPUs that a worker may use, else those that it is sure of, by slots. Without it each job starts a thread for
+every core of the node. OpenBLAS, MKL and PyTorch follow it too. */ -}}
+{{- define "capture2vr.threads" -}}
+{{- $cpu := get (.resources.limits | default dict) "cpu" | default (get (.resources.requests | default dict) "cpu") -}}
+{{- if $cpu -}}
+{{ div (include "capture2vr.milliCpu" $cpu | int) (mul 1000 .slots) | max 1 }}
+{{- end -}}
 {{- end }}
 
 {{- define "capture2vr.pool" -}}

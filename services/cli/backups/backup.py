@@ -1,4 +1,4 @@
-"""`capture2vr backup create | verify | restore`: the database, the store's objects and the keys, in one folder."""
+"""`capture2vr backup`: the database, the store's objects and the keys, saved to one folder, and restored from it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,12 @@ Data = Annotated[
         "--data", help="Data folder of `capture2vr up`; GATEWAY_* and STORAGE_* variables name another database, store."
     ),
 ]
+Keep = Annotated[
+    int, typer.Option("--keep", min=0, help="Remove old backups, but not the newest so many; 0: none by their number.")
+]
+KeepDays = Annotated[
+    float, typer.Option("--keep-days", min=0, help="Remove backups that are older than so many days; 0: none by age.")
+]
 _DATA = Path("capture2vr-data")
 
 
@@ -30,13 +36,18 @@ def create(
         Path | None,
         typer.Option(help="Folder of keys to add, encrypted by the passphrase in CAPTURE2VR_BACKUP_PASSPHRASE."),
     ] = None,
-    keep: Annotated[int, typer.Option(min=0, help="Remove all but the newest so many backups; 0: none.")] = 0,
+    keep: Keep = 0,
+    keep_days: KeepDays = 0.0,
     data: Data = _DATA,
 ) -> None:
-    """Write a backup. Gateways and workers may go on meanwhile."""
+    """Write a backup. Gateways and workers may go on meanwhile.
+
+    With a passphrase in CAPTURE2VR_BACKUP_PASSPHRASE the secrets in the database's rows are encrypted.
+    """
+    from capture2vr.cli.backups.backup_folder import BackupRetention
     from capture2vr.cli.backups.backup_work import create_backup
 
-    create_backup(folder, data, with_objects=with_objects, keys=keys, keep=keep)
+    create_backup(folder, data, with_objects=with_objects, keys=keys, keep=BackupRetention(keep, keep_days))
 
 
 @app.command()
@@ -46,6 +57,30 @@ def verify(folder: Folder, at: At = "") -> None:
 
     if not verify_backup(folder, at):
         raise typer.Exit(1)
+
+
+@app.command()
+def drill(folder: Folder, at: At = "", data: Data = _DATA) -> None:
+    """Prove that a backup can be restored: restore it beside the service, compare, and remove it again.
+
+    Gateways and workers may go on meanwhile. Exit code 1 if something is not as in the backup.
+    """
+    from capture2vr.cli.backups.drill import drill_backup
+
+    if not drill_backup(folder, at, data):
+        raise typer.Exit(1)
+
+
+@app.command()
+def prune(folder: Folder, keep: Keep = 0, keep_days: KeepDays = 0.0) -> None:
+    """Remove old backups, and the contents that only they have."""
+    from capture2vr.cli.backups.backup_folder import BackupRetention
+    from capture2vr.cli.backups.backup_work import prune_backups
+    from capture2vr.errors import BadInput
+
+    if not keep and not keep_days:
+        raise BadInput("say which backups stay: --keep 14, --keep-days 90, or both")
+    prune_backups(folder, BackupRetention(keep, keep_days))
 
 
 @app.command()

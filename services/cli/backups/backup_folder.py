@@ -20,11 +20,13 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from capture2vr.cli.progress import warn
 from capture2vr.errors import BadInput
+from capture2vr.gateway.database.full_disk import is_disk_full
 from capture2vr.process.atomic_write import sync
 from capture2vr.storage.bundle import sha256_of
 from capture2vr.storage.object_backup import PART, StoredObject, content_path
@@ -32,8 +34,12 @@ from capture2vr.storage.object_backup import PART, StoredObject, content_path
 DATABASE, INVENTORY, KEYS = "database.zip", "objects.json.gz", "keys.sealed"
 """Files of a backup."""
 
+NAME_TIME = "%Y%m%dT%H%M%S.%fZ"
+"""How the name of a backup has its time in UTC."""
+
+_MOST_DAYS = 365_000
 _MANIFEST = "backup.json"
-_FORMAT = 1
+_FORMAT = 2  # 1: secrets in the database were never encrypted
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +49,7 @@ class Manifest:
     made     time in UTC, ISO 8601; version: of capture2vr; schema: of the database
     objects  their number; bytes: of all of them; copied: whether their contents are in the folder
     parts    sha256 of each file of the backup
+    sealed   a text that the passphrase has encrypted, as it has the secrets in the database's rows; "": it has not
     """
 
     made: str
@@ -53,6 +60,31 @@ class Manifest:
     bytes: int
     copied: bool
     parts: dict[str, str]
+    sealed: str = ""
+
+    @property
+    def made_at(self) -> float:
+        """When it was made, in seconds since the epoch."""
+        return datetime.fromisoformat(self.made).timestamp()
+
+
+@dataclass(frozen=True, slots=True)
+class BackupRetention:
+    """Which backups stay: the newest so many, and those of the last so many days. Both 0: all.
+
+    The newest one stays always.
+    """
+
+    newest: int = 0
+    days: float = 0.0
+
+    def kept(self, names: Sequence[str], now: datetime) -> list[str]:
+        """Return those of the names of backups, the newest first, that stay."""
+        if not self.newest and not self.days:
+            return list(names)
+        since = f"{now - timedelta(days=min(self.days, _MOST_DAYS)):{NAME_TIME}}"
+        most = max(1, self.newest)
+        return [name for place, name in enumerate(names) if place < most or (self.days and name >= since)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,10 +170,16 @@ def new_backup(folder: Path, name: str) -> Iterator[Path]:
     """Yield the folder of a new backup, which has its name once `write_manifest` was called and the block has ended."""
     part, path = folder / "backups" / f"{PART}{name}", folder / "backups" / name
     part.mkdir(mode=0o700)
-    yield part
-    for file in part.iterdir():
-        sync(file)
-    sync(part)
+    try:
+        yield part
+        for file in part.iterdir():
+            sync(file)
+        sync(part)
+    except BaseException as error:
+        shutil.rmtree(part, ignore_errors=True)
+        if isinstance(error, OSError) and is_disk_full(error):
+            _remove_unused(folder)
+        raise
     part.rename(path)
     sync(path.parent)
 
@@ -165,26 +203,46 @@ def write_manifest(folder: Path, **values: Any) -> Manifest:
     return manifest
 
 
-def remove_old(folder: Path, keep: int) -> int:
-    """Remove all but the newest backups, and the contents that no other one has; return how many backups went.
+def remove_old(folder: Path, keep: BackupRetention, now: datetime) -> int:
+    """Remove the backups that are not kept, and the contents that no other one has; return how many backups went.
 
-    None goes while one of the newest is damaged: which contents it has is not known then.
+    None goes while one of those that are kept is damaged: which contents it has is not known then.
     """
     found = backups_in(folder)
-    old = found[keep:]
+    kept = keep.kept(found, now)
+    old = [name for name in found if name not in kept]
     if not old:
         return 0
-    newest = [read_or_warn(folder, name) for name in found[:keep]]
-    if None in newest:
+    wanted = _contents_of(folder, kept)
+    if wanted is None:
         warn("no older backup is removed before the damaged one's folder is")
         return 0
-    wanted = {each.sha256 for backup in newest if backup for each in backup[1]}
     for name in old:
         shutil.rmtree(folder / "backups" / name)
+    _remove_contents(folder, wanted)
+    return len(old)
+
+
+def _contents_of(folder: Path, names: Sequence[str]) -> set[str] | None:
+    """Return the contents that these backups have; None where one is damaged."""
+    found = [read_or_warn(folder, name) for name in names]
+    if None in found:
+        return None
+    return {each.sha256 for backup in found if backup for each in backup[1]}
+
+
+def _remove_contents(folder: Path, wanted: set[str]) -> None:
     for path in (folder / "objects").glob("??/*"):
         if path.name not in wanted:
             path.unlink()
-    return len(old)
+
+
+def _remove_unused(folder: Path) -> None:
+    """Give a full disk back what a backup has copied that did not come to its end."""
+    _remove_unfinished(folder)
+    wanted = _contents_of(folder, backups_in(folder))
+    if wanted is not None:
+        _remove_contents(folder, wanted)
 
 
 def _remove_unfinished(folder: Path) -> None:

@@ -1,9 +1,8 @@
-"""Implementation of `capture2vr backup create | verify | restore`."""
+"""Implementation of `capture2vr backup create | verify | prune | restore`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,11 +11,14 @@ from sqlalchemy.exc import SQLAlchemyError
 
 import capture2vr
 from capture2vr.cli.backups import sealed_keys
+from capture2vr.cli.backups.backup_faults import database_errors, named_if_full, nobody_in, reason_of, record
 from capture2vr.cli.backups.backup_folder import (
     DATABASE,
     INVENTORY,
     KEYS,
+    NAME_TIME,
     Backup,
+    BackupRetention,
     backups_in,
     listed,
     lock_folder,
@@ -32,15 +34,12 @@ from capture2vr.cli.local_settings import check_data, local_settings, local_stor
 from capture2vr.cli.progress import console, warn
 from capture2vr.errors import BadInput
 from capture2vr.gateway.backup.database_copy import (
-    DatabaseNotEmpty,
     Exported,
     check_importable,
     export_database,
     import_database,
 )
 from capture2vr.gateway.backup.snapshots import sqlite_file
-from capture2vr.gateway.database.full_disk import is_disk_full
-from capture2vr.gateway.database.instance_lock import FolderInUse, lock_instance
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.storage.object_backup import (
     StoredObject,
@@ -53,22 +52,22 @@ from capture2vr.storage.object_backup import (
 from capture2vr.storage.store import Store
 
 
-def create_backup(folder: Path, data: Path, *, with_objects: bool, keys: Path | None, keep: int) -> None:
+def create_backup(folder: Path, data: Path, *, with_objects: bool, keys: Path | None, keep: BackupRetention) -> None:
     """Write a backup and print what it has. Raises BadInput, OSError.
 
     keys  folder of keys, or None: none are in the backup
-    keep  the newest backups that stay; 0: all
     """
     check_data(data)
     sealed = sealed_keys.seal(sealed_keys.read_keys(keys), sealed_keys.passphrase()) if keys else b""
+    seal_text = sealed_keys.sealer()
     settings, store = local_settings(data), local_store(data)
     now = datetime.now(UTC)
-    with _named_if_full(folder), lock_folder(folder):
-        with new_backup(folder, f"{now:%Y%m%dT%H%M%S.%fZ}") as part:
+    with named_if_full(folder), lock_folder(folder):
+        with new_backup(folder, f"{now:{NAME_TIME}}") as part:
             if sealed:
                 (part / KEYS).write_bytes(sealed)
             # First: what the rows refer to was stored before them.
-            exported = _export(settings.database, part / DATABASE)
+            exported = _export(settings.database, part / DATABASE, seal_text)
             objects = (
                 list_objects(store) if not with_objects else copy_objects(store, folder / "objects", _known(folder))
             )
@@ -83,11 +82,22 @@ def create_backup(folder: Path, data: Path, *, with_objects: bool, keys: Path | 
                 objects=len(inventory),
                 bytes=size,
                 copied=with_objects,
+                sealed=seal_text("") if seal_text else "",
             )
-        removed = remove_old(folder, keep) if keep else 0
-    _print_backup(open_backup(folder, ""))
+        removed = remove_old(folder, keep, now)
+    backup = open_backup(folder, "")
+    record(settings, lambda records: records.add(backup.folder.name, backup.manifest.made_at))
+    _print_backup(backup)
     if removed:
         console.print(f"{removed:,} older ones were removed")
+
+
+def prune_backups(folder: Path, keep: BackupRetention) -> None:
+    """Remove old backups, and print how many. Raises BadInput, OSError."""
+    open_backup(folder, "")
+    with lock_folder(folder):
+        removed = remove_old(folder, keep, datetime.now(UTC))
+    console.print(f"{removed:,} backups were removed, {len(backups_in(folder)):,} are kept")
 
 
 def verify_backup(folder: Path, name: str) -> bool:
@@ -129,34 +139,40 @@ def restore_backup(folder: Path, name: str, data: Path, parts: Parts) -> bool:
     backup = open_backup(folder, name)
     if faults := list(backup.faults()):
         raise BadInput(f"the backup is damaged, and nothing was restored: {listed(faults)}")
-    settings, store = local_settings(data), local_store(data)
-    inventory = backup.inventory() if parts.objects else []
     keys = _keys_of(backup, parts.keys) if parts.keys else {}
-    with _nobody_in(settings):
-        if parts.database:
-            _check_database(settings, backup)
-        if parts.objects and backup.manifest.copied:
-            _check_store(store, inventory)
-        if parts.keys:
-            sealed_keys.write_keys(keys, parts.keys)
-            console.print(f"{len(keys):,} files of keys were written to {parts.keys}")
-        is_whole = not parts.objects or _restore_objects(store, backup, inventory)
-        if parts.database:
-            _restore_database(settings, backup)
+    unseal = sealed_keys.unsealer(backup.manifest.sealed) if parts.database else None
+    is_whole = True
+    if parts.database or parts.objects:
+        is_whole = _restore_service(backup, data, parts, lambda: _write_keys(keys, parts.keys), unseal)
+    else:  # neither a database nor a store need be there yet
+        _write_keys(keys, parts.keys)
     if backup.has_keys and not parts.keys:
         warn("the keys of this backup were not restored: name an empty folder for them with --keys")
     return is_whole
 
 
-@contextmanager
-def _named_if_full(folder: Path) -> Iterator[None]:
-    """Name the folder where its disk is full: the error itself names no file. Raises BadInput."""
-    try:
-        yield
-    except OSError as error:
-        if not is_disk_full(error):
-            raise
-        raise BadInput(f"{folder}: {error.strerror}; no backup was made, and the older ones are whole") from None
+def _restore_service(
+    backup: Backup, data: Path, parts: Parts, write_keys: Callable[[], None], unseal: Callable[[str], str] | None
+) -> bool:
+    """Restore keys, objects and database, in this order; return whether the store has all that the backup says."""
+    settings, store = local_settings(data), local_store(data)
+    inventory = backup.inventory() if parts.objects else []
+    with nobody_in(settings):
+        if parts.database:
+            _check_database(settings, backup)
+        if parts.objects and backup.manifest.copied:
+            _check_store(store, inventory)
+        write_keys()
+        is_whole = not parts.objects or _restore_objects(store, backup, inventory)
+        if parts.database:
+            _restore_database(settings, backup, unseal)
+    return is_whole
+
+
+def _write_keys(keys: dict[str, KeyFile], folder: Path | None) -> None:
+    if folder is not None:
+        sealed_keys.write_keys(keys, folder)
+        console.print(f"{len(keys):,} files of keys were written to {folder}")
 
 
 def _known(folder: Path) -> dict[str, StoredObject]:
@@ -174,6 +190,8 @@ def _print_backup(backup: Backup) -> None:
     console.print(f"backup {backup.folder.name} of {manifest.made}, capture2vr {manifest.version}")
     console.print(f"  database   {manifest.rows:,} rows, schema {manifest.schema}")
     console.print(f"  store      {manifest.objects:,} objects, {manifest.bytes:,} bytes, {contents}")
+    if not manifest.sealed:
+        warn(f"secrets of webhooks and sessions are in it as they are: set {sealed_keys.PASSPHRASE_VARIABLE}")
     console.print(f"  keys       {'encrypted' if backup.has_keys else 'none: name their folder with --keys'}")
 
 
@@ -192,10 +210,11 @@ def _restore_objects(store: Store, backup: Backup, inventory: list[StoredObject]
     return not found.missing and not found.changed
 
 
-def _restore_database(settings: GatewaySettings, backup: Backup) -> None:
-    with _database_errors(settings, "cannot be filled"):
-        done = import_database(settings.database, backup.folder / DATABASE, backup.manifest.schema)
+def _restore_database(settings: GatewaySettings, backup: Backup, unseal: Callable[[str], str] | None) -> None:
+    with database_errors(settings, "cannot be filled"):
+        done = import_database(settings.database, backup.folder / DATABASE, backup.manifest.schema, unseal)
     console.print(f"{done.rows:,} rows were written to the database; {done.queued:,} jobs that ran are queued again")
+    record(settings, lambda records: records.add(backup.folder.name, backup.manifest.made_at))
     warn("what was deleted or revoked since the backup is back: look at `capture2vr keys list`")
 
 
@@ -203,7 +222,7 @@ def _check_database(settings: GatewaySettings, backup: Backup) -> None:
     file = sqlite_file(settings.database)
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
-    with _database_errors(settings, "is not restored to"):
+    with database_errors(settings, "is not restored to"):
         check_importable(settings.database, backup.manifest.schema)
 
 
@@ -224,41 +243,13 @@ def _keys_of(backup: Backup, folder: Path) -> dict[str, KeyFile]:
     return keys
 
 
-def _export(url: str, out: Path) -> Exported:
+def _export(url: str, out: Path, seal: Callable[[str], str] | None) -> Exported:
     file = sqlite_file(url)
     if file is not None and not file.exists():
         raise BadInput(f"{file}: there is no database; name the data folder with --data, or set GATEWAY_DATABASE_URL")
     try:
-        return export_database(url, out)
+        return export_database(url, out, seal)
     except ValueError as error:
         raise BadInput(str(error)) from None
     except SQLAlchemyError as error:
-        raise BadInput(f"the database cannot be read: {_reason(error)}; see `capture2vr gateway check`") from error
-
-
-@contextmanager
-def _nobody_in(settings: GatewaySettings) -> Iterator[None]:
-    """Lock the data folder against gateways. Raises BadInput if one is running."""
-    try:
-        with lock_instance(settings.data_dir):
-            yield
-    except FolderInUse as error:
-        raise BadInput(str(error)) from None
-
-
-@contextmanager
-def _database_errors(settings: GatewaySettings, what: str) -> Iterator[None]:
-    """Translate errors of the database. Raises BadInput."""
-    database = sqlite_file(settings.database) or "the database of GATEWAY_DATABASE_URL"
-    try:
-        yield
-    except DatabaseNotEmpty as error:
-        raise BadInput(f"{database} {what}, because {error}; name an empty one") from None
-    except ValueError as error:
-        raise BadInput(f"the backup {what} {database}: {error}") from None
-    except SQLAlchemyError as error:
-        raise BadInput(f"{database} {what}: {_reason(error)}") from error
-
-
-def _reason(error: SQLAlchemyError) -> str:
-    return str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+        raise BadInput(f"the database cannot be read: {reason_of(error)}; see `capture2vr gateway check`") from error

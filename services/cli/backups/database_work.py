@@ -1,12 +1,13 @@
-"""Implementation of `capture2vr gateway check | restore | scrub`."""
+"""Implementation of `capture2vr gateway migrate | check | restore | scrub`."""
 
 from __future__ import annotations
 
 import sqlite3
 import tempfile
+import time
 from pathlib import Path
 
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import OperationalError, SQLAlchemyError
 
 from capture2vr.cli.local_settings import check_data, local_settings, local_store
 from capture2vr.cli.progress import console, warn
@@ -14,8 +15,48 @@ from capture2vr.errors import BadInput
 from capture2vr.gateway.backup.restore import restore
 from capture2vr.gateway.backup.scrub import Scrub
 from capture2vr.gateway.backup.snapshots import DatabaseDamaged, check_file, snapshots_in, sqlite_file
+from capture2vr.gateway.database.database import WrongEncoding, check_encoding, create_engine, for_writing
 from capture2vr.gateway.database.instance_lock import FolderInUse, lock_instance
+from capture2vr.gateway.database.schema import SchemaNewer, migrate, newest_schema
 from capture2vr.gateway.settings import GatewaySettings
+from capture2vr.process.private_files import private_folder
+
+_AGAIN_S = 1.0  # between two tries to reach a database that is away
+
+
+def migrate_database(data: Path, wait_s: float) -> None:
+    """Bring the schema up to date, and print what was done; waits so long for a database that is away.
+
+    Raises BadInput, OSError.
+    """
+    check_data(data)
+    settings = local_settings(data)
+    private_folder(settings.data_dir)  # an empty one gets its database
+    deadline = time.monotonic() + wait_s
+    while True:
+        try:
+            done = _migrate(settings.database)
+            break
+        except (SchemaNewer, WrongEncoding) as error:
+            raise BadInput(str(error)) from None
+        except SQLAlchemyError as error:
+            if not isinstance(error, OperationalError) or time.monotonic() > deadline:
+                reason = getattr(error, "orig", None) or error
+                raise BadInput(f"the jobs database cannot be migrated: {reason}") from error
+        time.sleep(_AGAIN_S)
+    for revision in done:
+        console.print(f"migrated to schema {revision}")
+    if not done:
+        console.print(f"there is nothing to migrate for this version, which is of schema {newest_schema()}")
+
+
+def _migrate(url: str) -> list[str]:
+    engine = create_engine(url)
+    try:
+        check_encoding(engine)
+        return migrate(engine, for_writing(engine))
+    finally:
+        engine.dispose()
 
 
 def check_database(data: Path) -> bool:

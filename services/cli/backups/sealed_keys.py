@@ -1,16 +1,18 @@
-"""Encrypt a folder of keys into one file by a passphrase, and decrypt it again: scrypt, AES-256-GCM.
+"""Encrypt a folder of keys into one file by a passphrase, and secrets in a database's rows: scrypt, AES-256-GCM.
 
 Whoever has a backup must not thereby be able to sign collections or pose as a worker.
 """
 
 from __future__ import annotations
 
+import base64
 import io
 import os
 import stat
 import tarfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 from cryptography.exceptions import InvalidTag
@@ -25,6 +27,7 @@ PASSPHRASE_VARIABLE = "CAPTURE2VR_BACKUP_PASSPHRASE"  # noqa: S105 - its name
 
 _SHORTEST = 12  # characters of a passphrase
 _HEAD = b"capture2vr keys 1\n"
+_TEXT = b"capture2vr secret 1"
 _SALT_BYTES, _NONCE_BYTES, _KEY_BYTES = 16, 12, 32
 _COST, _BLOCK, _LANES = 1 << 17, 8, 1  # of scrypt: 128 MiB and half a second for each guess (OWASP, 2023)
 _MOST_BYTES = 1 << 20  # of all keys; more is some other folder
@@ -42,7 +45,9 @@ def passphrase() -> str:
     """Return the passphrase of the environment. Raises BadInput where it is missing or short."""
     found = os.environ.get(PASSPHRASE_VARIABLE, "")
     if len(found) < _SHORTEST:
-        raise BadInput(f"set {PASSPHRASE_VARIABLE}, of at least {_SHORTEST} characters: keys are stored encrypted only")
+        raise BadInput(
+            f"set {PASSPHRASE_VARIABLE}, of at least {_SHORTEST} characters: keys and secrets are encrypted by it"
+        )
     return found
 
 
@@ -83,9 +88,52 @@ def unseal(sealed: bytes, secret: str) -> dict[str, KeyFile]:
     try:
         packed = AESGCM(_derive(secret, salt)).decrypt(nonce, body[_SALT_BYTES + _NONCE_BYTES :], _HEAD)
     except InvalidTag:
-        raise BadInput(f"{PASSPHRASE_VARIABLE} is not the passphrase with which this backup was made") from None
+        raise _wrong_passphrase() from None
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
         return {member.name: KeyFile(member.mode, _content(archive, member)) for member in archive}
+
+
+def sealer() -> Callable[[str], str] | None:
+    """Return what encrypts single texts by the passphrase of the environment; None where there is none.
+
+    Raises BadInput for a passphrase that is short.
+    """
+    if not os.environ.get(PASSPHRASE_VARIABLE):
+        return None
+    salt = os.urandom(_SALT_BYTES)
+    cipher = AESGCM(_derive(passphrase(), salt))
+
+    def seal_text(text: str) -> str:
+        nonce = os.urandom(_NONCE_BYTES)
+        return base64.b64encode(salt + nonce + cipher.encrypt(nonce, text.encode(), _TEXT)).decode()
+
+    return seal_text
+
+
+def unsealer(sample: str) -> Callable[[str], str] | None:
+    """Return what decrypts the texts of the `sealer` that has made this one; None for "", which none has made.
+
+    Raises BadInput where the passphrase is missing, or is another one.
+    """
+    if not sample:
+        return None
+    secret = passphrase()
+    cipher_of = cache(lambda salt: AESGCM(_derive(secret, salt)))  # one for each backup: it takes half a second
+
+    def unseal_text(sealed: str) -> str:
+        body = base64.b64decode(sealed)
+        salt, nonce = body[:_SALT_BYTES], body[_SALT_BYTES : _SALT_BYTES + _NONCE_BYTES]
+        try:
+            return str(cipher_of(salt).decrypt(nonce, body[_SALT_BYTES + _NONCE_BYTES :], _TEXT).decode())
+        except InvalidTag:
+            raise _wrong_passphrase() from None
+
+    unseal_text(sample)
+    return unseal_text
+
+
+def _wrong_passphrase() -> BadInput:
+    return BadInput(f"{PASSPHRASE_VARIABLE} is not the passphrase with which this backup was made")
 
 
 def check_writable(keys: Mapping[str, KeyFile], folder: Path) -> None:

@@ -10,14 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from capture2vr.cli.deployment.tls_authority import is_current, make_authority, make_server_certificate, write_private
+from capture2vr.cli.deployment.key_folder import KeyFolder, make_keys
+from capture2vr.cli.deployment.tls_authority import write_private
 from capture2vr.cli.progress import console, warn
 from capture2vr.errors import BadInput
 from capture2vr.process.strict_settings import LOOPBACK
-from capture2vr.storage.catalogue.signing import generate_key, read_signer
 
 CONTAINER_USER = 10_001
 """User id of gateway and workers inside their containers, who read the keys."""
+
+BACKUPS = "backups"
+"""Folder beside docker-compose.yml that the service `backup` writes to, unless the variable BACKUPS names another."""
 
 WORKER_NAMES = ("edge", "edge-gpu", "localhost")
 """Host names that the workers' certificate is for: the services of docker-compose.yml, and the container itself."""
@@ -61,37 +64,6 @@ class Address:
         return (self.public_url or f"http://127.0.0.1:{self.port}").rstrip("/")
 
 
-@dataclass(frozen=True, slots=True)
-class KeyFolder:
-    """The folder of keys. `mounted` is what the containers see as /keys; the CA's private key is not in it."""
-
-    root: Path
-
-    @property
-    def mounted(self) -> Path:
-        return self.root / "containers"
-
-    @property
-    def authority(self) -> Path:
-        return self.mounted / "ca.pem"
-
-    @property
-    def authority_key(self) -> Path:
-        return self.root / "ca.key"
-
-    @property
-    def certificate(self) -> Path:
-        return self.mounted / "edge.crt"
-
-    @property
-    def certificate_key(self) -> Path:
-        return self.mounted / "edge.key"
-
-    @property
-    def signing_key(self) -> Path:
-        return self.mounted / "signing"
-
-
 def initialise(folder: Path, address: Address, *, force: bool) -> None:
     """Write what is missing of .env and keys in the folder of docker-compose.yml. Raises BadInput, OSError.
 
@@ -103,7 +75,8 @@ def initialise(folder: Path, address: Address, *, force: bool) -> None:
     if env.exists() and not force and address != Address():
         raise BadInput(f"{env} exists and stays as it is: change BIND, PORT and PUBLIC_URL in it, or use --force")
     keys = KeyFolder(folder / "keys")
-    _make_keys(keys)
+    make_keys(keys, WORKER_NAMES)
+    (folder / BACKUPS).mkdir(mode=0o700, exist_ok=True)
     if not env.exists():
         write_private(env, _env_text(address, []).encode())
         console.print(f"{env}: new random secrets")
@@ -111,34 +84,11 @@ def initialise(folder: Path, address: Address, *, force: bool) -> None:
         _replace(env, address)
     else:
         console.print(f"{env} exists and stays as it is; --force makes new secrets")
-    _print_next(keys, address, is_ours=_hand_over(folder, keys))
-
-
-def _make_keys(keys: KeyFolder) -> None:
-    """Make the keys and certificates that are missing, and renew a certificate that ends soon."""
-    for folder in (keys.root, keys.mounted):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not keys.signing_key.exists():
-        public = generate_key(keys.signing_key)
-        console.print(f"{keys.signing_key}: new key {public.id}; {keys.signing_key}.pub is for those who read")
-    else:
-        read_signer(keys.signing_key)
-    if not keys.authority.exists() and not keys.authority_key.exists():
-        make_authority(keys.authority, keys.authority_key)
-        console.print(f"{keys.authority}: new certificate authority; keep {keys.authority_key} secret")
-    if not is_current(keys.certificate, keys.certificate_key, keys.authority):
-        make_server_certificate(
-            keys.certificate,
-            keys.certificate_key,
-            WORKER_NAMES,
-            authority=keys.authority,
-            authority_key=keys.authority_key,
-        )
-        console.print(f"{keys.certificate}: new certificate for {', '.join(WORKER_NAMES)}; restart running workers")
+    _print_next(folder, address, is_ours=_hand_over(folder, keys))
 
 
 def _hand_over(folder: Path, keys: KeyFolder) -> bool:
-    """Give `mounted` to the containers' user, and all else to the owner of the deployment's folder.
+    """Give `mounted` and the backups to the containers' user, and all else to the owner of the deployment's folder.
 
     Only root may do so. Returns whether the containers can read their keys.
     """
@@ -148,7 +98,7 @@ def _hand_over(folder: Path, keys: KeyFolder) -> bool:
     for path in (folder / ".env", folder / ".env.old", keys.root, keys.authority_key):
         if path.exists():
             os.chown(path, owner.st_uid, owner.st_gid)
-    for path in (keys.mounted, *keys.mounted.iterdir()):
+    for path in (folder / BACKUPS, keys.mounted, *keys.mounted.iterdir()):
         os.chown(path, CONTAINER_USER, CONTAINER_USER)
     return True
 
@@ -183,10 +133,15 @@ def _env_text(address: Address, others: list[str]) -> str:
     return "\n".join([head, *(f"{name}={value}" for name, value in _variables(address)), *others, ""])
 
 
-def _print_next(keys: KeyFolder, address: Address, *, is_ours: bool) -> None:
+def _print_next(folder: Path, address: Address, *, is_ours: bool) -> None:
     """Print the commands that come next."""
     commands = (
-        [] if is_ours else [f"sudo chown -R {CONTAINER_USER} {keys.mounted}    # the containers' user reads them"]
+        []
+        if is_ours
+        else [
+            f"sudo chown -R {CONTAINER_USER} {KeyFolder(folder / 'keys').mounted} {folder / BACKUPS}"
+            "    # the containers' user reads and writes them"
+        ]
     )
     if address.is_public:
         scopes = " ".join(f"--scope {scope}" for scope in ("operate", "manage", "capture", "read"))

@@ -53,16 +53,19 @@ def make_server_certificate(
     write_private(certificate, _certificate_pem(built.sign(signer, hashes.SHA256())))
 
 
-def is_current(certificate: Path, key: Path, authority: Path) -> bool:
-    """Whether certificate and key are a pair, are signed by this CA, and go on for RENEW_DAYS at least."""
+def is_current(certificate: Path, key: Path, authority: Path, hosts: Iterable[str]) -> bool:
+    """Whether certificate and key are a pair, signed by this CA, for all these names, and valid for RENEW_DAYS more."""
     try:
         found = x509.load_pem_x509_certificate(certificate.read_bytes())
         ca = x509.load_pem_x509_certificate(authority.read_bytes())
         private = serialization.load_pem_private_key(key.read_bytes(), password=None)
         found.verify_directly_issued_by(ca)
+        names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except Exception:  # noqa: BLE001 - whatever is wrong with the files, a new certificate mends it
         return False
     left = found.not_valid_after_utc - datetime.now(UTC)
+    if not set(hosts) <= set(names.get_values_for_type(x509.DNSName)):
+        return False
     return private.public_key() == found.public_key() and left > timedelta(days=RENEW_DAYS)
 
 

@@ -14,9 +14,9 @@ from capture2vr.client.http import open_gateway
 from capture2vr.client.names import check_collection
 from capture2vr.client.trusted_keys import load_verification_keys, storage_keys, storage_settings
 from capture2vr.errors import BadInput
-from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import DEFAULT_COLLECTION
 from capture2vr.storage.catalogue.reader import collection_names
+from capture2vr.storage.catalogue.root import root_name
 from capture2vr.storage.catalogue.signing import PublicKey, generate_key
 from capture2vr.storage.catalogue.update import rebuild
 from capture2vr.storage.catalogue.verify import CheckResult, Fetch, fetch_from, verify
@@ -52,9 +52,8 @@ def rebuild_collection(collection: str) -> None:
     settings = storage_settings()
     keys = storage_keys(settings)
     index = rebuild(open_store(settings), collection, keys)
-    count = sum(shard.count for shard in index.shards)
     signed = f"signed by {', '.join(each.public.id for each in keys.signers)}" if keys.signers else "not signed"
-    console.print(f"{collection} version {index.version}: {count:,} assets in {len(index.shards)} shards, {signed}")
+    console.print(f"{collection} version {index.version}: {index.count:,} assets, {signed}")
 
 
 def make_key(out: Path) -> None:
@@ -70,8 +69,8 @@ def _verify(
         stored = fetch_from(open_store(storage_settings()))
         return list(verify(stored, collection, verification_keys, at_least=at_least))
     with open_gateway(gateway, follow_redirects=True) as client:
-        answer = client.get(f"/v1/collections/{collection}")
-        fetch = _fetch_from_url(client, str(parse_answer(answer)["base"]), {index_name(collection): answer.content})
+        answer = client.get(f"/v1/collections/{collection}", params={"form": "tree"})
+        fetch = _fetch_from_url(client, str(parse_answer(answer)["base"]), {root_name(collection): answer.content})
         return list(verify(fetch, collection, verification_keys, at_least=at_least))
 
 

@@ -13,10 +13,10 @@ import anyio.to_thread
 from cachetools import TTLCache
 
 from capture2vr.gateway.access.authentication import CACHE_S
-from capture2vr.storage.catalogue.collection import index_name, read_index
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.scene_documents import read_scene
+from capture2vr.storage.catalogue.reader import read_root
 from capture2vr.storage.catalogue.visibility import Visibility, effective
+from capture2vr.storage.scenes.scene_documents import read_scene
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
 
@@ -91,6 +91,6 @@ class ReadersCache:
 def _collection_visibility(store: Store, name: str) -> Visibility | None:
     """Return a collection's visibility; None where it has none, or does not exist."""
     try:
-        return read_index(store.get(index_name(name)), name).visibility
+        return read_root(store, name).visibility
     except FileNotFoundError:
         return None

@@ -87,15 +87,15 @@ class AccessStore:
             db.execute(tenants.update().where(tenants.c.name == tenant).values(limits=values))
 
     def retention(self, tenant: str) -> dict[str, int]:
-        """Return after how many days what of a tenant is deleted, as it was set; {}: nothing ever is."""
+        """Return after how many days what of a tenant is deleted, as it was set; {}: nothing was."""
         with self._engine.begin() as db:
             return dict(db.execute(sa.select(tenants.c.retention).where(tenants.c.name == tenant)).scalar() or {})
 
     def retentions(self) -> dict[str, dict[str, int]]:
-        """Return what `retention` returns, of every tenant for which something was set."""
-        select = sa.select(tenants.c.name, tenants.c.retention).where(tenants.c.retention.is_not(None))
+        """Return what `retention` returns, of every tenant."""
         with self._engine.begin() as db:
-            return {row.name: dict(row.retention) for row in db.execute(select) if row.retention}
+            rows = db.execute(sa.select(tenants.c.name, tenants.c.retention))
+            return {row.name: dict(row.retention or {}) for row in rows}
 
     def set_retention(self, tenant: str, days: Mapping[str, int]) -> None:
         """Set after how many days what of a tenant is deleted, in place of what held before."""

@@ -11,7 +11,7 @@ import itertools
 import json
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +21,9 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Connection
 
 from capture2vr.gateway.access.tables import tenants
-from capture2vr.gateway.database.database import (
-    check_encoding,
-    create_engine,
-    for_writing,
+from capture2vr.gateway.database.database import check_encoding, create_engine, for_writing
+from capture2vr.gateway.database.schema import (
+    TABLE,
     is_known_schema,
     lock_schema,
     newest_schema,
@@ -40,10 +39,12 @@ from capture2vr.gateway.resumable.tables import chunks, uploads
 from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 _ROWS_AT_ONCE = 500  # per statement
-_MIGRATIONS = "alembic_version"
+_COUNTED = "job_counts"  # by triggers, which count the jobs of a backup while they are inserted
 _SUFFIX = ".jsonl"
-# Tables that a gateway fills before anybody has used it.
-_FILLED_AT_START = frozenset({_MIGRATIONS, "secrets", "usage"})
+# Tables that a gateway, or a backup, fills before anybody has used it.
+_FILLED_AT_START = frozenset({TABLE, _COUNTED, "secrets", "usage", "backups"})
+# Columns that whoever has a backup must not read: with them requests could be signed, and sessions made.
+_SECRETS = {"secrets": ("value",), "webhooks": ("secret",)}
 # Of Postgres' triggers; it is made with the tables, but outlives them.
 _FUNCTION = "refuse_audit_change"
 
@@ -68,9 +69,10 @@ class Imported:
     queued: int
 
 
-def export_database(url: str, out: Path) -> Exported:
+def export_database(url: str, out: Path, seal: Callable[[str], str] | None = None) -> Exported:
     """Write all rows of a database as of one moment to a file; gateways may go on meanwhile.
 
+    seal  encrypts the secrets in it; None: they are written as they are
     Raises ValueError where the database has no schema yet, sqlalchemy.exc.SQLAlchemyError, OSError.
     """
     with _snapshot(url) as db:
@@ -78,7 +80,7 @@ def export_database(url: str, out: Path) -> Exported:
         if schema is None:
             raise ValueError("the database has no tables of a gateway, or is of one before migrations: start it once")
         with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-            rows = sum(_write_table(db, table, archive) for table in _tables(db))
+            rows = sum(_write_table(db, table, archive, seal) for table in _tables(db) if table.name != _COUNTED)
     return Exported(schema, rows)
 
 
@@ -98,11 +100,12 @@ def check_importable(url: str, schema: str) -> None:
         engine.dispose()
 
 
-def import_database(url: str, source: Path, schema: str) -> Imported:
+def import_database(url: str, source: Path, schema: str, unseal: Callable[[str], str] | None = None) -> Imported:
     """Fill an empty database from a file of `export_database`, in one transaction: a crash leaves it empty.
 
     Jobs that ran are queued again, under a fencing token above all that the store has seen; uploads that had not ended
     are forgotten, as their parts are in no backup.
+    unseal  decrypts the secrets in it; None: they are not encrypted
     Raises DatabaseNotEmpty, ValueError, sqlalchemy.exc.SQLAlchemyError, OSError.
     """
     engine = create_engine(url)
@@ -112,11 +115,32 @@ def import_database(url: str, source: Path, schema: str) -> Imported:
             _check_empty(db)
             _drop_tables(db)
             upgrade(db, schema)
-            rows = _read_tables(db, source)
+            rows = _read_tables(db, source, unseal)
             upgrade(db, newest_schema())
             queued = _queue_again(db)
             _forget_unfinished_uploads(db)
         return Imported(rows, queued)
+    finally:
+        engine.dispose()
+
+
+def lost_rows(url: str, source: Path) -> Iterator[str]:
+    """Compare the rows of an imported database with its file by their number; yield the tables that lack some.
+
+    Uploads that had not ended are forgotten by an import, and not counted. Jobs that are queued again have an event
+    more.
+    """
+    engine = create_engine(url)
+    try:
+        with engine.connect() as db, zipfile.ZipFile(source) as archive:
+            for table in _tables(db):
+                name = table.name + _SUFFIX
+                if name in archive.namelist() and table.name not in (uploads.name, chunks.name):
+                    with archive.open(name) as file:
+                        saved = sum(1 for _ in file) - 1  # the first line has the columns' names
+                    found = db.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
+                    if found < saved:
+                        yield f"table {table.name}: {found:,} of {saved:,} rows"
     finally:
         engine.dispose()
 
@@ -139,25 +163,41 @@ def _tables(db: Connection) -> list[sa.Table]:
     """Return the tables that the database has, those that others refer to first; not the one of the migrations."""
     found = sa.MetaData()
     found.reflect(db)
-    return [table for table in found.sorted_tables if table.name != _MIGRATIONS]
+    return [table for table in found.sorted_tables if table.name != TABLE]
 
 
 def _stored(table: sa.Table) -> list[sa.Column[Any]]:
     return [column for column in table.columns if column.computed is None]
 
 
-def _write_table(db: Connection, table: sa.Table, archive: zipfile.ZipFile) -> int:
+def _write_table(db: Connection, table: sa.Table, archive: zipfile.ZipFile, seal: Callable[[str], str] | None) -> int:
     """Write a table as a file of the archive; return the number of its rows."""
     columns = _stored(table)
+    convert = _converter(table, [column.name for column in columns], seal)
     # JSON is written as its text, which tells null from NULL.
     select = sa.select(*(sa.cast(each, sa.Text) if _is_json(each) else each for each in columns))
     count = 0
     with archive.open(table.name + _SUFFIX, "w", force_zip64=True) as file:
         file.write(_line([column.name for column in columns]))
         for row in db.execute(select.execution_options(yield_per=_ROWS_AT_ONCE)):
-            file.write(_line(list(row)))
+            file.write(_line(convert(list(row))))
             count += 1
     return count
+
+
+def _converter(
+    table: sa.Table, names: list[str], change: Callable[[str], str] | None
+) -> Callable[[list[Any]], list[Any]]:
+    """Return what changes the secrets in a row of a table, whose columns have these names."""
+    places = [names.index(name) for name in _SECRETS.get(table.name, ()) if name in names] if change else []
+
+    def convert(row: list[Any]) -> list[Any]:
+        for place in places:
+            if change and row[place] is not None:
+                row[place] = change(row[place])
+        return row
+
+    return convert
 
 
 def _line(values: list[Any]) -> bytes:
@@ -187,12 +227,12 @@ def _drop_tables(db: Connection) -> None:
         return
     for table in reversed(_tables(db)):
         table.drop(db)
-    db.execute(sa.text(f"DROP TABLE {_MIGRATIONS}"))
+    db.execute(sa.text(f"DROP TABLE {TABLE}"))
     if db.dialect.name == "postgresql":
         db.execute(sa.text(f"DROP FUNCTION IF EXISTS {_FUNCTION}"))
 
 
-def _read_tables(db: Connection, source: Path) -> int:
+def _read_tables(db: Connection, source: Path, unseal: Callable[[str], str] | None) -> int:
     """Insert all rows of the archive; return how many. Raises ValueError for a table that the schema has not."""
     db.execute(tenants.delete())
     rows = 0
@@ -202,21 +242,22 @@ def _read_tables(db: Connection, source: Path) -> int:
             if table.name in left:
                 left.remove(table.name)
                 with archive.open(table.name + _SUFFIX) as file:
-                    rows += _insert(db, table, map(json.loads, file))
+                    rows += _insert(db, table, map(json.loads, file), unseal)
     if left:
         raise ValueError(f"{source} has tables that its schema has not: {', '.join(sorted(left))}")
     return rows
 
 
-def _insert(db: Connection, table: sa.Table, lines: Iterator[list[Any]]) -> int:
+def _insert(db: Connection, table: sa.Table, lines: Iterator[list[Any]], unseal: Callable[[str], str] | None) -> int:
     texts = {column.name for column in _stored(table) if _is_json(column)}
     for name in texts:
         table.c[name].type = sa.JSON(none_as_null=True)
     names: list[str] = next(lines)
+    convert = _converter(table, names, unseal)
     count = 0
     while some := [
         {name: _value(cell, name in texts) for name, cell in zip(names, row, strict=True)}
-        for row in itertools.islice(lines, _ROWS_AT_ONCE)
+        for row in map(convert, itertools.islice(lines, _ROWS_AT_ONCE))
     ]:
         db.execute(table.insert(), some)
         count += len(some)
@@ -243,8 +284,7 @@ def _move_sequence(db: Connection, table: sa.Table) -> None:
 
 def _queue_again(db: Connection) -> int:
     """Queue the jobs that ran, without counting an attempt; return how many. A job that was being cancelled is."""
-    now, count = time.time(), 0
-    # What was published after the backup may carry a higher fencing token than the database knows.
+    now, count = time.time(), 0  # what was published after the backup may carry a higher fence than the database knows
     waiting = sa.select(jobs.c.id).where(jobs.c.state.in_([state.value for state in (State.QUEUED, *RUNNING_STATES)]))
     db.execute(leases.update().where(leases.c.job.in_(waiting), leases.c.fence < int(now)).values(fence=int(now)))
     for row in db.execute(WHOLE_JOB.where(jobs.c.state.in_([state.value for state in RUNNING_STATES]))).all():

@@ -23,6 +23,7 @@ import sqlalchemy as sa
 from capture2vr.gateway.backup.snapshots import NAME_TIME, DatabaseDamaged, check_file, snapshots_in
 from capture2vr.gateway.database.database import for_writing, open_engine
 from capture2vr.gateway.jobs.job import Job, Lease, Order, State
+from capture2vr.gateway.jobs.job_counts import count_again
 from capture2vr.gateway.jobs.row_mapping import job_values, lease_values
 from capture2vr.gateway.jobs.tables import jobs, leases
 from capture2vr.order.job_options import JobOptions
@@ -133,6 +134,8 @@ def _build(fresh: Path, snapshot: Path | None, damaged: Path | None, store: Stor
         rows = _salvage(damaged, fresh) if damaged is not None else 0
         _complete_leases(engine)
         count = _rebuild_jobs(engine, store)
+        with for_writing(engine).begin() as db:
+            count_again(db)  # no trigger hears of a row that takes another one's place
     finally:
         engine.dispose()
     with closing(sqlite3.connect(fresh)) as db:

@@ -84,6 +84,11 @@ class Snapshots:
         self.fault = ""
 
     @property
+    def are_taken(self) -> bool:
+        """Whether this gateway takes snapshots."""
+        return self._database is not None
+
+    @property
     def newest(self) -> float | None:
         """Seconds since the epoch of the newest snapshot, None where there is none."""
         return next((each.stat().st_mtime for each in snapshots_in(self._folder)), None)

@@ -1,4 +1,4 @@
-"""The gateway's SQL database: its engine, and schema migrations (Alembic). A commit survives a power cut.
+"""The gateway's SQL database: its engine, and how statements reach it. A commit survives a power cut.
 
 SQLite by default: a write-ahead log, so that readers never wait for the writer; every commit is synced; writers lock at
 BEGIN, because a transaction that reads first and writes later fails at once instead of waiting for the lock.
@@ -10,20 +10,17 @@ import sqlite3
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import Connection, Engine
 
+from capture2vr.gateway.database.schema import migrate
+
 metadata = sa.MetaData()
 """All tables of the gateway; a test compares them with what the migrations make."""
 
-_MIGRATIONS = Path(__file__).parents[1] / "migrations"
-_FIRST = "0001"  # the schema of databases that are older than the migrations
-_LOCK = 0x63327672  # Postgres: key of the lock that one gateway holds while it migrates; any number, only ours
 _CHECK_MS = 1_000  # wait of a health check
 _POSTGRES = {
     "client_encoding": "utf8",  # whatever PGCLIENTENCODING says
@@ -41,12 +38,13 @@ _BUSY_MS = 10_000  # wait for the lock: other processes hold it for a synced com
 def open_engine(url: str) -> Engine:
     """Open the database and bring its schema up to date.
 
-    Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used: SchemaNewer for one of a newer gateway, WrongEncoding.
+    Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used: SchemaNewer for one of a newer gateway that this one
+    cannot work with, WrongEncoding.
     """
     engine = create_engine(url)
     try:
         check_encoding(engine)
-        _migrate(engine)
+        migrate(engine, for_writing(engine))
     except BaseException:
         engine.dispose()
         raise
@@ -72,10 +70,6 @@ def _completed(url: str) -> sa.URL:
     if parsed.get_backend_name() == "postgresql":
         parsed = parsed.set(query={**_POSTGRES, **parsed.query})
     return parsed
-
-
-class SchemaNewer(sa.exc.SQLAlchemyError):
-    """The database was migrated by a newer version of the gateway."""
 
 
 class WrongEncoding(sa.exc.SQLAlchemyError):
@@ -150,68 +144,6 @@ def brief_wait(db: Connection) -> Iterator[None]:
         yield
     finally:
         raw.execute(f"PRAGMA busy_timeout={_BUSY_MS}")
-
-
-def newest_schema() -> str:
-    """Return the revision of the schema that this version works with."""
-    return str(_scripts().get_current_head())
-
-
-def schema_of(db: Connection) -> str | None:
-    """Return the revision of a database's schema; None where it has none, or one of before the migrations."""
-    from alembic.runtime.migration import MigrationContext
-
-    return MigrationContext.configure(db).get_current_revision()
-
-
-def upgrade(db: Connection, revision: str) -> None:
-    """Run the migrations up to a revision that this database lacks, in the present transaction. Raises SchemaNewer."""
-    from alembic.config import Config
-    from alembic.runtime.environment import EnvironmentContext
-    from alembic.runtime.migration import MigrationContext
-    from alembic.util.exc import CommandError
-
-    scripts, present = _scripts(), schema_of(db)
-    if present is None and sa.inspect(db).has_table("jobs"):
-        MigrationContext.configure(db).stamp(scripts, _FIRST)
-        present = _FIRST
-    try:
-        steps = scripts._upgrade_revs(revision, present)
-    except CommandError:
-        raise SchemaNewer(f"the jobs database is of a newer gateway (schema {present}); install that version") from None
-    with EnvironmentContext(Config(), scripts, fn=lambda *_: steps) as environment:
-        environment.configure(connection=db)
-        environment.run_migrations()
-
-
-def is_known_schema(revision: str) -> bool:
-    """Return whether this version knows a revision of the schema; else the revision is of a newer version."""
-    return any(revision == script.revision for script in _scripts().walk_revisions())
-
-
-def _migrate(engine: Engine) -> None:
-    """Run the migrations that this database lacks, in one transaction; several gateways may start at once."""
-    newest = newest_schema()
-    with engine.connect() as db, db.begin():
-        if schema_of(db) == newest:
-            return
-    with for_writing(engine).connect() as db, db.begin():
-        lock_schema(db)
-        upgrade(db, newest)
-
-
-def lock_schema(db: Connection) -> None:
-    """Lock the schema against migrations by other gateways until the transaction ends. SQLite has one writer."""
-    if db.dialect.name == "postgresql":
-        db.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
-
-
-@cache
-def _scripts() -> Any:
-    # Here, because Alembic takes 0.2 s to import, and the command line imports this module for less.
-    from alembic.script import ScriptDirectory
-
-    return ScriptDirectory(str(_MIGRATIONS), version_locations=[str(_MIGRATIONS)])
 
 
 def _prepare(connection: Any, _: Any) -> None:

@@ -250,6 +250,7 @@ class Dispatcher:
     def _start(self, job: Job, *, running: bool) -> None:
         if not running:
             _log.info("job %s is given to worker %s (attempt %d)", job.id, job.lease.worker, job.lease.attempts)
+            self._dependencies.watch.leased(job)
         supervisor = RunSupervisor(self._dependencies, job, self)
         # Nothing of the job that ended on this slot: neither its log fields nor its span.
         task = asyncio.create_task(

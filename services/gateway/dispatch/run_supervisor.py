@@ -15,6 +15,7 @@ from typing import Protocol
 from sqlalchemy.exc import SQLAlchemyError
 
 from capture2vr.gateway.dispatch.batching import batch_reports
+from capture2vr.gateway.dispatch.job_watch import JobWatch
 from capture2vr.gateway.errors import Problem
 from capture2vr.gateway.jobs.async_store import AsyncJobStore
 from capture2vr.gateway.jobs.capture_objects import capture_bytes, capture_name, object_chunks
@@ -57,7 +58,7 @@ class Dependencies:
     """Services that every run supervisor uses.
 
     attach_for_s  how long to try to reattach to a lost run before the job is queued again
-    on_job_ended  called once for each job that has ended
+    watch         hears of what becomes of jobs
     """
 
     job_store: AsyncJobStore
@@ -65,7 +66,7 @@ class Dependencies:
     store: Store
     retry: Retry
     attach_for_s: float
-    on_job_ended: Callable[[Job], None]
+    watch: JobWatch
 
 
 class NextRun(Protocol):
@@ -227,6 +228,7 @@ class RunSupervisor:
         return job
 
     async def _requeue_lost(self, why: Problem) -> None:
+        self._dependencies.watch.run_lost(self.job)
         transition = partial(requeue_lost, fence=self.fence, why=why, now=time.time(), retry=self._dependencies.retry)
         self._record_change(await self._dependencies.job_store.change(self.job.id, transition))
 
@@ -239,9 +241,8 @@ class RunSupervisor:
     def _record_change(self, job: Job) -> None:
         if job.state is not self.job.state:
             _log.info("job %s is %s (attempt %d)", job.id, job.state, job.lease.attempts)
-        self.job = job
-        if job.ended:
-            self._dependencies.on_job_ended(job)
+        before, self.job = self.job, job
+        self._dependencies.watch.changed(before, job)
 
     async def _cancel(self) -> None:
         while True:

@@ -93,6 +93,12 @@ def earliest_start(db: Connection, now: float) -> float | None:
     return first
 
 
+def oldest_queued(db: Connection) -> float | None:
+    """Return when the job that has waited longest was created (seconds since the epoch); None where none is queued."""
+    found: float | None = db.execute(_OLDEST_CREATED).scalar_one()
+    return found
+
+
 def job_waits(db: Connection, presets: Collection[str], now: float, *, has_run: bool) -> bool:
     """Return whether a queued job of these presets may start now.
 
@@ -114,8 +120,8 @@ def orphaned_jobs(now: float, holder: str, own_runs: Iterable[str]) -> sa.Select
     return select.order_by(jobs.c.preset, jobs.c.tenant, jobs.c.id).limit(1)
 
 
-def _waiting() -> sa.Select[Any]:
-    """Select (tenant, preset, time of its last turn) of what waits, from one to the next in the index.
+def _first_of_queues() -> sa.CTE:
+    """Select the first job of each queue, of a preset and a tenant, from one to the next in the index; NULL at the end.
 
     That is a "loose index scan", which neither database does by itself. The order by preset and tenant, which only this
     index has, keeps Postgres from another one.
@@ -124,13 +130,27 @@ def _waiting() -> sa.Select[Any]:
     found = sa.select(_first_queued(jobs).label("job")).cte("waiting", recursive=True)
     behind = sa.tuple_(following.c.preset, following.c.tenant) > sa.tuple_(here.c.preset, here.c.tenant)
     step = sa.select(_first_queued(following, behind).correlate(here))
-    found = found.union_all(step.select_from(found.join(here, here.c.id == found.c.job)))
-    tenant, preset = (
-        sa.select(column).where(jobs.c.id == found.c.job).scalar_subquery() for column in (jobs.c.tenant, jobs.c.preset)
-    )
+    return found.union_all(step.select_from(found.join(here, here.c.id == found.c.job)))
+
+
+def _waiting() -> sa.Select[Any]:
+    """Select (tenant, preset, time of its last turn) of what waits."""
+    found = _first_of_queues()
+    tenant, preset = (_of_job(column, found) for column in (jobs.c.tenant, jobs.c.preset))
     waiting = sa.select(tenant.label("tenant"), preset.label("preset")).where(found.c.job.is_not(None)).subquery()
     select = sa.select(waiting.c.tenant, waiting.c.preset, queue_turns.c.served)
     return select.outerjoin(queue_turns, queue_turns.c.tenant == waiting.c.tenant)
+
+
+def _oldest_created() -> sa.Select[Any]:
+    """Select when the oldest of the first jobs of all queues was created."""
+    found = _first_of_queues()
+    created = sa.select(_of_job(jobs.c.created, found).label("created")).where(found.c.job.is_not(None)).subquery()
+    return sa.select(sa.func.min(created.c.created))
+
+
+def _of_job(column: sa.Column[Any], found: sa.CTE) -> sa.ScalarSelect[Any]:
+    return sa.select(column).where(jobs.c.id == found.c.job).scalar_subquery()
 
 
 def _first_queued(table: Any, *which: sa.ColumnElement[bool]) -> sa.ScalarSelect[str]:
@@ -145,6 +165,7 @@ _RUNNING = (
     sa.select(jobs.c.tenant, _worker, sa.func.count()).where(jobs.c.state.in_(_RUNS)).group_by(jobs.c.tenant, _worker)
 )
 _WAITING = _waiting()
+_OLDEST_CREATED = _oldest_created()
 _OLDEST_READY = (
     sa.select(jobs.c.id)
     .where(

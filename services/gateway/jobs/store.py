@@ -21,12 +21,15 @@ from sqlalchemy.exc import IntegrityError
 from capture2vr.gateway.database.database import brief_wait, for_writing, pipelined, upsert
 from capture2vr.gateway.database.postgres_notify import can_notify
 from capture2vr.gateway.errors import Problem
+from capture2vr.gateway.jobs.ended_jobs import delete_jobs, delete_progress, first_id, old_jobs
 from capture2vr.gateway.jobs.job import TERMINAL, Event, Job, Order, State
+from capture2vr.gateway.jobs.job_counts import QueueFigures, count_by_state
 from capture2vr.gateway.jobs.job_news import announce
 from capture2vr.gateway.jobs.queue_order import (
     by_oldest_job,
     earliest_start,
     job_waits,
+    oldest_queued,
     oldest_ready,
     orphaned_jobs,
     running_jobs,
@@ -49,13 +52,11 @@ from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
-_DELETED_AT_ONCE = 500  # jobs per statement: SQLite takes at most 999 values
 _DAY_S = 86_400.0
 _SLOTS_LOCK = 0x6332766C  # Postgres: first key of the locks of workers' slots; any number, only ours
-_TICKS_PER_MS = 4096  # as finely as a float has today's time: jobs of one millisecond are in order too
 _BUSY_RETRY_S = 30  # a job takes about a minute
-_TERMINAL = [state.value for state in TERMINAL]
-_LOCKED_JOB = WHOLE_JOB.with_for_update()  # SQLite has only one writer at a time, and ignores it
+_UNFINISHED = [state.value for state in State if state not in TERMINAL]
+_LOCKED_JOB = WHOLE_JOB.with_for_update(of=jobs)  # SQLite has only one writer at a time, and ignores it
 _UPDATE_JOB = jobs.update().where(jobs.c.id == sa.bindparam("changed"))
 _UPDATE_LEASE = leases.update().where(leases.c.job == sa.bindparam("changed"))
 # Without asking for what the database makes itself, such as the number of an event.
@@ -67,7 +68,7 @@ JOB_ID = re.compile(r"job_[0-9a-f]{32}")
 
 def new_job_id(now: float) -> str:
     """Make a job id that cannot be guessed and sorts by creation time: 1/4096 milliseconds, then 68 random bits."""
-    return f"job_{int(now * 1000 * _TICKS_PER_MS):015x}{secrets.token_hex(9)[1:]}"
+    return f"{first_id(now)}{secrets.token_hex(9)[1:]}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,19 +171,10 @@ class JobStore:
         with self._engine.begin() as db:
             return [job_from_row(row) for row in db.execute(select.where(jobs.c.id < after) if after else select)]
 
-    def count_by_state(self) -> dict[State, int]:
-        """Return the number of jobs in each state."""
-        select = sa.select(jobs.c.state, sa.func.count()).group_by(jobs.c.state)
+    def figures(self) -> QueueFigures:
+        """Return the number of jobs in each state, and since when the oldest one waits."""
         with self._engine.begin() as db:
-            found = {State(state): count for state, count in db.execute(select)}
-        return {state: found.get(state, 0) for state in State}
-
-    def oldest_queued(self) -> float | None:
-        """Return when the job that has waited longest was created (seconds since the epoch); None: no job waits."""
-        select = sa.select(sa.func.min(jobs.c.created)).where(jobs.c.state == State.QUEUED.value)
-        with self._engine.begin() as db:
-            found: float | None = db.execute(select).scalar_one()
-        return found
+            return QueueFigures(count_by_state(db), oldest_queued(db))
 
     def failures(self, *, limit: int) -> list[Job]:
         """Return at most `limit` failed jobs of all tenants, the newest first."""
@@ -199,12 +191,12 @@ class JobStore:
         """Return how many jobs of a tenant have not ended, and how many it created within a day."""
         mine = sa.select(sa.func.count()).where(jobs.c.tenant == tenant)
         with self._engine.begin() as db:
-            active = db.execute(mine.where(jobs.c.state.not_in(_TERMINAL))).scalar_one()
-            return active, db.execute(mine.where(jobs.c.created > time.time() - _DAY_S)).scalar_one()
+            active = db.execute(_count_unfinished(tenant)).scalar_one()
+            return active, db.execute(mine.where(jobs.c.id > first_id(time.time() - _DAY_S))).scalar_one()
 
     def unfinished(self, tenant: str, *, capture: str = "", asset_key: str = "") -> list[str]:
         """Return the ids of a tenant's jobs that have not ended; only of those for this capture or asset, if named."""
-        select = sa.select(jobs.c.id).where(jobs.c.tenant == tenant, jobs.c.state.not_in(_TERMINAL))
+        select = sa.select(jobs.c.id).where(_unfinished(tenant))
         for name, value in (("capture", capture), ("asset_key", asset_key)):
             if value:
                 select = select.where(jobs.c.order[name].as_string() == value)
@@ -212,18 +204,21 @@ class JobStore:
             return [job for (job,) in db.execute(select.order_by(jobs.c.id))]
 
     def delete_ended(self, tenant: str, *, before: float) -> list[str]:
-        """Delete a tenant's jobs that ended before this time (seconds since the epoch), with all that is known of them.
+        """Delete some of a tenant's jobs that ended before this time (seconds since the epoch), the oldest first.
 
-        Returns their ids.
+        All that is known of them goes. Returns their ids; none where none is left, or others write all of them now.
         """
-        ended = sa.and_(jobs.c.tenant == tenant, jobs.c.state.in_(_TERMINAL), jobs.c.updated < before)
+        with self._engine.begin() as db:
+            ids = old_jobs(db, tenant, before)
+        if not ids:
+            return []
         with self._writer.begin() as db:
-            ids = list(db.execute(sa.select(jobs.c.id).where(ended).order_by(jobs.c.id)).scalars())
-            for start in range(0, len(ids), _DELETED_AT_ONCE):
-                some = ids[start : start + _DELETED_AT_ONCE]
-                for column in (events.c.job, idempotency.c.job, leases.c.job, jobs.c.id):
-                    db.execute(sa.delete(column.table).where(column.in_(some)))
-        return ids
+            return delete_jobs(db, ids)
+
+    def delete_progress(self, *, before: float) -> int:
+        """Delete the events of progress of some jobs that ended before this time; return how many jobs these were."""
+        with self._writer.begin() as db:
+            return delete_progress(db, before)
 
     def change(self, job: str, transition: Callable[[Job], Change]) -> Job:
         """Apply a transition to a job and store the result; nothing if it raises. Raises Problem JOB_UNKNOWN."""
@@ -378,18 +373,27 @@ def _lock_slot(db: Connection, slot: Slot) -> None:
 
 def _check_limits(db: Connection, tenant: str, at_once: int, per_day: int) -> None:
     """Raises Problem JOBS_LIMITED where a tenant may create no job now."""
-    mine = jobs.c.tenant == tenant
-    if at_once:
-        active = sa.and_(mine, jobs.c.state.not_in(_TERMINAL))
-        if db.execute(sa.select(sa.func.count()).where(active)).scalar_one() >= at_once:
-            raise _jobs_limited(say("jobs_wait_run_already", count=at_once), _BUSY_RETRY_S)
+    if at_once and db.execute(_count_unfinished(tenant)).scalar_one() >= at_once:
+        raise _jobs_limited(say("jobs_wait_run_already", count=at_once), _BUSY_RETRY_S)
     if per_day:
         now = time.time()
-        recent = sa.select(jobs.c.created).where(mine, jobs.c.created > now - _DAY_S)
-        times = db.execute(recent.order_by(jobs.c.created.desc()).limit(per_day)).scalars().all()
+        recent = sa.select(jobs.c.created).where(jobs.c.tenant == tenant, jobs.c.id > first_id(now - _DAY_S))
+        times = db.execute(recent.order_by(jobs.c.id.desc()).limit(per_day)).scalars().all()
         if len(times) == per_day:
             wait_s = math.ceil(times[-1] + _DAY_S - now)
             raise _jobs_limited(say("jobs_created_within_day", count=per_day), wait_s)
+
+
+def _unfinished(tenant: str) -> sa.ColumnElement[bool]:
+    """Return the condition for a tenant's jobs that have not ended.
+
+    An expression in place of the tenant's column keeps databases from its index, where all that have ended are too.
+    """
+    return sa.and_(jobs.c.state.in_(_UNFINISHED), jobs.c.tenant.concat("") == tenant)
+
+
+def _count_unfinished(tenant: str) -> sa.Select[int]:
+    return sa.select(sa.func.count()).select_from(jobs).where(_unfinished(tenant))
 
 
 def _jobs_limited(detail: str, retry_s: int) -> Problem:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 
 from capture2vr.gateway.database.database import metadata
+from capture2vr.gateway.jobs.job import State
 from capture2vr.storage.tenant_store import DEFAULT_TENANT
 
 jobs = sa.Table(
@@ -59,6 +60,22 @@ events = sa.Table(
     sa.Column("at", sa.Double, nullable=False),
     sa.Column("data", sa.JSON, nullable=False),
     sa.UniqueConstraint("job", "seq"),
+)
+
+job_counts = sa.Table(
+    "job_counts",
+    metadata,
+    # Kept by triggers. Rows are added up: on Postgres each connection counts in one of its own.
+    sa.Column("slot", sa.Integer, primary_key=True, autoincrement=False),
+    *(sa.Column(state.lower(), sa.BigInteger, nullable=False, server_default=sa.text("0")) for state in State),
+)
+
+ended_jobs = sa.Table(
+    "ended_jobs",
+    metadata,
+    # Filled by triggers: jobs that have ended, and still have their events of progress.
+    sa.Column("job", sa.String(64), primary_key=True),
+    sa.Column("ended", sa.Double, nullable=False, index=True),
 )
 
 queue_turns = sa.Table(

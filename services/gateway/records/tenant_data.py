@@ -8,10 +8,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from typing import Any, TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -26,6 +27,7 @@ from capture2vr.gateway.jobs.capture_objects import delete_capture, list_capture
 from capture2vr.gateway.jobs.store import JobStore
 from capture2vr.gateway.records.deletions import Deletion, DeletionStore, receipt_of
 from capture2vr.gateway.resumable.store import UploadStore
+from capture2vr.gateway.search.indexes import SearchIndexes
 from capture2vr.gateway.webhooks.deliveries import Deliveries
 from capture2vr.gateway.webhooks.outbox import Outbox, WebhookEvent
 from capture2vr.sentences.sentence import say
@@ -36,6 +38,8 @@ from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
 
 DAY_S = 86_400.0
+PROGRESS_S = 3_600.0
+"""Seconds after a job's end for which its events of progress are kept: for who was cut off, and comes back."""
 _PERIOD_S = 3_600.0  # between two looks for what has been kept long enough; days are what people count in
 _PAGE = 100
 
@@ -50,17 +54,31 @@ class Retention:
 
     captures_days        since the upload
     removed_assets_days  since the asset was removed (hidden)
-    jobs_days            since the job ended
+    jobs_days            since the job ended; is_own: whether the tenant has said how many, and not the service
     """
 
     captures_days: int = 0
     removed_assets_days: int = 0
     jobs_days: int = 0
+    is_own: bool = False
+
+    @classmethod
+    def of(cls, days: Mapping[str, int], jobs_days: int) -> Retention:
+        """Return what holds for a tenant that has set these days. jobs_days: the service's own"""
+        return cls(
+            captures_days=days.get("captures_days", 0),
+            removed_assets_days=days.get("removed_assets_days", 0),
+            jobs_days=days.get("jobs_days", jobs_days),
+            is_own="jobs_days" in days,
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class TenantData:
-    """Deletes tenants' data. Each method may be repeated after a failure, and completes what it began."""
+    """Deletes tenants' data. Each method may be repeated after a failure, and completes what it began.
+
+    jobs_days  after which jobs that have ended are deleted, of tenants that have set no number; 0: never
+    """
 
     store: Store
     keys: Keys
@@ -72,6 +90,8 @@ class TenantData:
     outbox: Outbox
     deliveries: Deliveries
     uploads: UploadStore
+    search: SearchIndexes
+    jobs_days: int
 
     async def delete_asset(self, tenant: str, key: str) -> Deletion:
         """Delete an asset with all its versions.
@@ -99,13 +119,14 @@ class TenantData:
         await self._run(lambda: self.uploads.remove_all(tenant, time.time()))
         await self._run(lambda: self.shares.revoke_all(tenant))
         deleted, kept = await asyncio.to_thread(delete_everything, own, self.keys)
-        jobs = await self.job_store.write(JobStore.delete_ended, tenant, before=time.time() + DAY_S)
+        await asyncio.to_thread(self.search.forget, tenant)
+        jobs = [job async for some in self._deleted_jobs(tenant, time.time() + DAY_S) for job in some]
         await self.authentication.run(lambda: self.outbox.delete_of(tenant))
         receipt = receipt_of("everything", deleted, jobs=jobs, kept=kept)
         return await self._finish(tenant, "data.deleted", receipt, {"objects": len(deleted), "jobs": len(jobs)})
 
     async def keep_retention(self) -> None:
-        """Delete every hour what tenants want to keep no longer, until cancelled."""
+        """Delete every hour what is to be kept no longer, until cancelled."""
         while True:
             try:
                 await self.apply_retention(time.time())
@@ -114,12 +135,14 @@ class TenantData:
             await asyncio.sleep(_PERIOD_S)
 
     async def apply_retention(self, now: float) -> None:
-        """Delete what every tenant wants to keep no longer. What cannot be deleted is logged, and the others go on.
+        """Delete what every tenant wants to keep no longer, or the service, and the progress of jobs that have ended.
 
-        Raises SQLAlchemyError.
+        What cannot be deleted is logged, and the others go on. Raises SQLAlchemyError.
         """
+        while await self.job_store.write(JobStore.delete_progress, before=now - PROGRESS_S):
+            pass
         for tenant, days in (await self._run(self.authentication.store.retentions)).items():
-            await self._apply(tenant, Retention(**days), now)
+            await self._apply(tenant, Retention.of(days, self.jobs_days), now)
 
     async def _apply(self, tenant: str, retention: Retention, now: float) -> None:
         if retention.captures_days:
@@ -129,10 +152,23 @@ class TenantData:
             before = now - retention.removed_assets_days * DAY_S
             await self._delete_old("asset", tenant, _old_removed, before, self._delete_removed)
         if retention.jobs_days:
-            before = now - retention.jobs_days * DAY_S
-            jobs = await self.job_store.write(JobStore.delete_ended, tenant, before=before)
-            if jobs:
-                await self._run(lambda: self.deletions.add(tenant, receipt_of("ended jobs", [], jobs=jobs)))
+            await self._delete_old_jobs(tenant, now - retention.jobs_days * DAY_S, has_receipts=retention.is_own)
+
+    async def _delete_old_jobs(self, tenant: str, before: float, *, has_receipts: bool) -> None:
+        """Delete jobs that ended before a time. has_receipts: not where nobody asked, else they grow in jobs' place"""
+        count = 0
+        async for jobs in self._deleted_jobs(tenant, before):
+            count += len(jobs)
+            if has_receipts:
+                receipt = receipt_of("ended jobs", [], jobs=jobs)
+                await self._run(partial(self.deletions.add, tenant, receipt))
+        if count:
+            _log.info("%d jobs of %s had ended long enough ago, and are deleted", count, tenant)
+
+    async def _deleted_jobs(self, tenant: str, before: float) -> AsyncIterator[list[str]]:
+        """Delete a tenant's jobs that ended before a time, some at a time; yield their ids."""
+        while ids := await self.job_store.write(JobStore.delete_ended, tenant, before=before):
+            yield ids
 
     async def _delete_old(
         self,

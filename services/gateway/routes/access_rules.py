@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hmac
 from collections.abc import Iterable
 from typing import Any
 
@@ -26,13 +27,17 @@ TENANT_COOKIE = "c2v_tenant"
 
 
 class Rule:
-    """A dependency that authenticates the request and checks the caller's scopes; none: anyone may ask."""
+    """A dependency that authenticates the request and checks the caller's scopes; none: anyone may ask.
 
-    def __init__(self, scopes: frozenset[Scope]) -> None:
+    scrapers  whether the token of the metrics is enough, for which nothing is looked up in the database
+    """
+
+    def __init__(self, scopes: frozenset[Scope], *, scrapers: bool = False) -> None:
         self.scopes = scopes
+        self._scrapers = scrapers
 
     async def __call__(self, request: Request) -> None:
-        if not self.scopes:
+        if not self.scopes or (self._scrapers and _has_metrics_token(request)):
             return
         caller = await authenticate(request)
         request.state.rate_limit = await gateway_of(request).access.limits.spend(caller)
@@ -45,8 +50,17 @@ def needs(*scopes: Scope) -> Any:
     return Depends(Rule(frozenset(scopes)))
 
 
+SCRAPERS = Depends(Rule(frozenset({Scope.OPERATE}), scrapers=True))
+"""The dependency of the metrics: operators, and who has the token of the metrics."""
+
 ANYONE = Depends(Rule(frozenset()))
 """The dependency of a route that anyone may ask: pages without data, and logging in."""
+
+
+def _has_metrics_token(request: Request) -> bool:
+    token = gateway_of(request).access.metrics_token
+    sent = request.headers.get("authorization", "")
+    return bool(token) and hmac.compare_digest(sent.encode(), f"Bearer {token}".encode())
 
 
 async def authenticate(request: Request) -> Caller:

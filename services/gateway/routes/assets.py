@@ -25,9 +25,9 @@ from capture2vr.gateway.routes.store_access import gateway_url, in_thread, objec
 from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.webhooks.outbox import WebhookEvent
 from capture2vr.sentences.sentence import say
+from capture2vr.storage.catalogue.change_entry import remove, restore
 from capture2vr.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
 from capture2vr.storage.catalogue.faults import CatalogueFault
-from capture2vr.storage.catalogue.removal import remove, restore
 from capture2vr.storage.catalogue.signing import Keys
 from capture2vr.storage.store import NO_CACHE, Store
 

@@ -6,9 +6,9 @@ import base64
 import hashlib
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
-from itertools import chain, islice
 from typing import Annotated, Literal, TypeVar
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -22,18 +22,21 @@ from capture2vr.gateway.routes.http_ranges import etag_matches
 from capture2vr.gateway.routes.read_rules import READS_COLLECTION, reading_of, reads_tenant, unknown_collection
 from capture2vr.gateway.routes.store_access import in_thread, object_url, page_path, store_of
 from capture2vr.gateway.schemas import problems
+from capture2vr.gateway.search.collection_index import ReadListing
+from capture2vr.gateway.search.known_roots import token_of
+from capture2vr.gateway.search.listing import CollectionListing, Search
 from capture2vr.sentences.sentence import say
-from capture2vr.storage.catalogue.collection import (
-    Index,
-    Row,
-    index_name,
-    parse_envelope,
-    read_index,
-)
+from capture2vr.storage.catalogue.collection import Row
+from capture2vr.storage.catalogue.commit import MOST_FLAT
+from capture2vr.storage.catalogue.earlier_forms import flat_index, take_over_flat
 from capture2vr.storage.catalogue.entry import valid_key
-from capture2vr.storage.catalogue.reader import LoadRows, find_row, retry_if_shard_missing
+from capture2vr.storage.catalogue.faults import CatalogueFault
+from capture2vr.storage.catalogue.reader import TreeParts, find_row, read_root, read_root_data, retry_if_shard_missing
+from capture2vr.storage.catalogue.root import Index, parse_envelope
 from capture2vr.storage.catalogue.row_filter import RowFilter
-from capture2vr.storage.store import NO_CACHE
+from capture2vr.storage.catalogue.signing import Keys
+from capture2vr.storage.catalogue.tree import shards_of
+from capture2vr.storage.store import NO_CACHE, Store
 
 router = APIRouter(prefix="/v1", tags=["collections"])
 
@@ -69,7 +72,8 @@ class RowView(BaseModel):
 
 class RowPage(BaseModel):
     """A page of assets, sorted by key. `version` is the collection's; `next` is the value of `after` for the next page,
-    null on the last one.
+    null on the last one. A page with `next` may have fewer assets than `limit`, or none: a collection that is being
+    indexed is searched for two seconds at a time.
     """
 
     collection: str
@@ -123,15 +127,21 @@ class RowSearch(BaseModel):
     dependencies=[READS_COLLECTION],
     responses={200: {"content": {"application/json": {}}}, **problems(404, 422, 503)},
 )
-async def get_collection(name: Name, request: Request) -> Response:
-    """Get a collection's signed index, as it is on the store, and `base`, the URL prefix of its objects.
+async def get_collection(
+    name: Name,
+    request: Request,
+    form: Annotated[Literal["", "tree"], Query(description="`tree`: the root of the tree of its assets.")] = "",
+) -> Response:
+    """Get a collection's signed root (`form=tree`), or its flat index, and `base`, the URL prefix of its objects.
 
-    Answers 304 for an ETag in If-None-Match.
+    Collections of over 5,000 assets have no flat index. Answers 304 for an ETag in If-None-Match.
     """
     require_collection(name, say("check_name_in_url"))
     store = store_of(request)
     try:
-        text, signatures = await in_thread(lambda: parse_envelope(store.get(index_name(name)), name))
+        text, signatures = await in_thread(
+            lambda: parse_envelope(_signed(store, name, gateway_of(request).keys, is_tree=form == "tree"), name)
+        )
     except FileNotFoundError:
         raise unknown_collection(name) from None
     # `base` needs no signature: clients check everything that they read below it by its hash.
@@ -157,15 +167,11 @@ async def search_collection(name: Name, request: Request, search: Annotated[RowS
     if search.after and not valid_key(search.after):
         hints = ("use the `next` of the previous page",)
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
-    wanted, load_rows = search.rows, _load_rows_of(request)
-
-    def find_matches(index: Index) -> tuple[int, list[Row]]:
-        return index.version, _matching_rows(index, load_rows, wanted, search.after, search.limit)
-
-    version, rows = await _read(request, name, find_matches)
-    last = rows[-1].key if len(rows) == search.limit else None
-    views = [_row_view(request, row) for row in rows]
-    return RowPage(collection=name, version=version, assets=views, next=last)
+    indexes, tenant, read = gateway_of(request).search, reads_tenant(request), _listing_reader(request, name)
+    wanted = Search(search.rows, search.after, search.limit)
+    found = await _from_store(name, lambda: indexes.search(tenant, name, read, wanted))
+    views = [_row_view(request, row) for row in found.rows]
+    return RowPage(collection=name, version=found.version, assets=views, next=found.next)
 
 
 @router.get(
@@ -179,9 +185,9 @@ async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceV
     require_collection(name, say("check_name_in_url"))
     if not valid_key(key):
         raise Problem(422, "KEY_INVALID", say("not_valid_asset_key"), hints=(say("check_key_in_url"),))
-    load_rows = _load_rows_of(request)
+    parts = _parts_of(request, name)
 
-    version, found = await _read(request, name, lambda index: (index.version, find_row(index, key, load_rows)))
+    version, found = await _read(request, name, lambda index: (index.version, find_row(index, key, parts)))
     if found is None:
         raise Problem(
             404, "ASSET_UNKNOWN", say("no_asset_in_collection", key=key, collection=name), hints=(say("check_key"),)
@@ -206,27 +212,69 @@ async def list_public_keys(gateway: GatewayOf) -> PublicKeyPage:
 
 
 async def _read(request: Request, name: str, take: Callable[[Index], _T]) -> _T:
-    """Call `take` with a collection's verified index. Raises Problem COLLECTION_UNKNOWN, and those of `in_thread`."""
-    store, keys = store_of(request), gateway_of(request).keys.verification_keys
+    """Call `take` with a collection's verified root. Raises Problem COLLECTION_UNKNOWN, and those of `in_thread`."""
+    store, keys = store_of(request), gateway_of(request).keys
 
-    def attempt() -> _T:
-        return take(read_index(store.get(index_name(name)), name, keys))
+    return await _from_store(name, lambda: take(_newest_root(store, name, keys)))
 
+
+async def _from_store(name: str, attempt: Callable[[], _T]) -> _T:
+    """Call `attempt`, which reads a collection. Raises Problem COLLECTION_UNKNOWN, and those of `in_thread`."""
     try:
         return await in_thread(lambda: retry_if_shard_missing(attempt))
     except FileNotFoundError:
         raise unknown_collection(name) from None
 
 
-def _load_rows_of(request: Request) -> LoadRows:
-    return partial(gateway_of(request).load_rows, reads_tenant(request))
+def _newest_root(store: Store, name: str, keys: Keys) -> Index:
+    """Read a collection's root, after it has taken over what a worker of an earlier release has listed beside it."""
+    _take_over(store, name, keys)
+    return read_root(store, name, keys.verification_keys)
 
 
-def _matching_rows(index: Index, rows: LoadRows, wanted: RowFilter, after: str, limit: int) -> list[Row]:
-    """Return at most `limit` rows with keys behind `after` that are wanted."""
-    shards = (shard for shard in index.shards if shard.last > after)
-    behind = (row for row in chain.from_iterable(map(rows, shards)) if row.key > after)
-    return list(islice(filter(wanted.accepts, behind), limit))
+def _take_over(store: Store, name: str, keys: Keys) -> None:
+    with suppress(CatalogueFault):  # who cannot sign reads what there is
+        take_over_flat(store, name, keys)
+
+
+def _signed(store: Store, name: str, keys: Keys, *, is_tree: bool) -> bytes:
+    """Return the bytes of a collection's root or flat index, the latter as new as the root; who reads them checks them.
+
+    Raises FileNotFoundError, Problem COLLECTION_LARGE where it has no flat index any more, CatalogueFault.
+    """
+    _take_over(store, name, keys)
+    if is_tree:
+        return read_root_data(store, name)
+    index = read_root(store, name)
+    if index.count > MOST_FLAT:
+        detail = say("collection_too_large_for_client", name=name, most=MOST_FLAT)
+        raise Problem(410, "COLLECTION_LARGE", detail, hints=(say("update_client"),))
+    return flat_index(store, name, keys, index)
+
+
+def _parts_of(request: Request, name: str) -> TreeParts:
+    return gateway_of(request).parts(reads_tenant(request), name)
+
+
+def _listing_reader(request: Request, name: str) -> ReadListing:
+    """Return what reads a collection's root for searches, also once the request has been answered."""
+    store, keys, parts = store_of(request), gateway_of(request).keys, _parts_of(request, name)
+
+    tenant, roots = reads_tenant(request), gateway_of(request).search.roots
+
+    def read() -> CollectionListing:
+        index = _newest_root(store, name, keys)
+        roots.remember(tenant, index)
+        return CollectionListing(
+            version=index.version,
+            token=token_of(index),
+            count=index.count,
+            changed=partial(roots.changed, tenant, index, parts.nodes),
+            leaves=partial(shards_of, index, parts.nodes),
+            rows=parts.rows,
+        )
+
+    return read
 
 
 def _row_view(request: Request, row: Row) -> RowView:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field
 
 from capture2vr.gateway.access.caller import Caller, Scope
 from capture2vr.gateway.errors import Problem
-from capture2vr.gateway.gateway import GatewayOf
+from capture2vr.gateway.gateway import Gateway, GatewayOf
 from capture2vr.gateway.records.audit_log import AuditRecord
 from capture2vr.gateway.records.deletions import Deletion
 from capture2vr.gateway.records.export import export_blocks
@@ -74,20 +74,26 @@ class EverythingRequest(StrictBody):
 
 class RetentionView(BaseModel):
     """After how many days what is deleted; 0: never. Captures count from their upload, removed assets from their
-    removal, jobs from their end.
+    removal, jobs from their end. `jobs_days` is the service's, as long as the tenant has set none.
     """
 
     captures_days: int
     removed_assets_days: int
     jobs_days: int
 
+    @classmethod
+    def of(cls, days: Mapping[str, int], gateway: Gateway) -> RetentionView:
+        """Return what holds for a tenant that has set these days."""
+        found = Retention.of(days, gateway.settings.jobs_days)
+        return cls(**{name: getattr(found, name) for name in cls.model_fields})
+
 
 class RetentionRequest(StrictBody):
-    """After how many days what is deleted; 0: never."""
+    """After how many days what is deleted; 0: never. Without `jobs_days` the service's own number holds."""
 
     captures_days: Days = 0
     removed_assets_days: Days = 0
-    jobs_days: Days = 0
+    jobs_days: Days | None = None
 
 
 class AuditView(BaseModel):
@@ -175,7 +181,7 @@ async def get_retention(request: Request, gateway: GatewayOf) -> RetentionView:
     """Get after how many days what of the tenant is deleted."""
     authentication, tenant = gateway.access.authentication, caller_of(request).tenant
     days = await authentication.run(lambda: authentication.store.retention(tenant))
-    return RetentionView(**asdict(Retention(**days)))
+    return RetentionView.of(days, gateway)
 
 
 @router.put(
@@ -184,9 +190,9 @@ async def get_retention(request: Request, gateway: GatewayOf) -> RetentionView:
 async def set_retention(body: RetentionRequest, request: Request, gateway: GatewayOf) -> RetentionView:
     """Set after how many days what of the tenant is deleted. The first deletion may follow within an hour."""
     authentication, tenant = gateway.access.authentication, caller_of(request).tenant
-    days = {name: value for name, value in body.model_dump().items() if value}
+    days = body.model_dump(exclude_none=True, exclude_defaults=True)
     await authentication.run(lambda: authentication.store.set_retention(tenant, days))
-    return RetentionView(**asdict(Retention(**days)))
+    return RetentionView.of(days, gateway)
 
 
 @router.get(

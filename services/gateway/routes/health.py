@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
-from collections.abc import Awaitable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
@@ -13,23 +11,18 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from sqlalchemy.exc import SQLAlchemyError
 
 from capture2vr.gateway.access.caller import Scope
-from capture2vr.gateway.backup.scrub import ScrubState
-from capture2vr.gateway.backup.snapshots import Snapshots
-from capture2vr.gateway.database_faults import Fault, fault_of
 from capture2vr.gateway.gateway import Gateway, GatewayOf
 from capture2vr.gateway.jobs.async_store import AsyncJobStore
+from capture2vr.gateway.jobs.job_counts import QueueFigures
 from capture2vr.gateway.jobs.store import JobStore
-from capture2vr.gateway.routes.access_rules import ANYONE, authenticate, needs
-from capture2vr.gateway.schemas import Check, Readiness, problems
-from capture2vr.gateway.workers.worker_client import WorkerPool
-from capture2vr.storage.local import LocalStore
-from capture2vr.storage.store import Store
+from capture2vr.gateway.routes.access_rules import ANYONE, SCRAPERS, authenticate
+from capture2vr.gateway.schemas import Readiness, problems
+from capture2vr.gateway.vitals.checks import run_checks
 
 router = APIRouter(tags=["health"])
 
-_LEAST_FREE = 64 << 20  # bytes: below it the database's log and a small upload may no longer fit
+_QUEUE_S = 2.0  # after which the metrics are shown without the queue's
 ExcludeQuery = Annotated[Sequence[Literal["store", "database", "disk", "workers"]], Query()]
-_CHECK_S = 2.0  # timeout of one check: orchestrators ask every few seconds and wait about as long
 
 
 @router.get("/livez", response_class=Response, dependencies=[ANYONE], responses={200: {"content": {"text/plain": {}}}})
@@ -55,32 +48,28 @@ async def readyz(request: Request, gateway: GatewayOf, response: Response, exclu
     return Readiness(ready=ready, checks=checks if may_see else {})
 
 
-async def run_checks(gateway: Gateway) -> dict[str, Check]:
-    """Check the store, the database, the disks and the workers, all at once, each for 2 s at most."""
-    names = ("store", "database", "disk", "workers")
-    found = await asyncio.gather(
-        _store(gateway.store, gateway.upkeep.scrub.state),
-        _database(gateway.job_store, gateway.upkeep.snapshots),
-        asyncio.to_thread(_disk, [gateway.settings.data_dir, *_folders(gateway.store)]),
-        _workers(gateway.workers),
-    )
-    return dict(zip(names, found, strict=True))
-
-
 @router.get(
     "/metrics",
     response_class=Response,
-    dependencies=[needs(Scope.OPERATE)],
+    dependencies=[SCRAPERS],
     responses={200: {"content": {"text/plain": {}}}},
 )
-async def metrics(gateway: GatewayOf) -> Response:
-    """Get metrics in Prometheus' text format."""
-    job_store = gateway.job_store
-    scrub = gateway.upkeep.scrub.state
-    gateway.metrics.show_scrub(len(scrub.damaged), scrub.ended)
-    streams = job_store.notifier.listener_count + gateway.scenes.news.listener_count
-    page = gateway.metrics.render(await job_store.read(JobStore.count_by_state), streams)
-    return Response(page, headers={"Content-Type": CONTENT_TYPE_LATEST})
+async def get_metrics(gateway: GatewayOf) -> Response:
+    """Get metrics in Prometheus' text format. Nothing is counted for it, and no other service is asked."""
+    metrics, scrub = gateway.metrics, gateway.upkeep.scrub.state
+    metrics.show_scrub(len(scrub.damaged), scrub.ended)
+    metrics.jobs.show_queue(await _figures(gateway.job_store))
+    streams = gateway.job_store.notifier.listener_count + gateway.scenes.news.listener_count
+    return Response(metrics.render(streams), headers={"Content-Type": CONTENT_TYPE_LATEST})
+
+
+async def _figures(job_store: AsyncJobStore) -> QueueFigures | None:
+    """Return the figures of the queue; None while the database is away: the other metrics are shown all the same."""
+    try:
+        async with asyncio.timeout(_QUEUE_S):
+            return await job_store.read(JobStore.figures)
+    except (SQLAlchemyError, TimeoutError):
+        return None
 
 
 async def _may_see_checks(request: Request, gateway: Gateway) -> bool:
@@ -88,52 +77,3 @@ async def _may_see_checks(request: Request, gateway: Gateway) -> bool:
         return Scope.OPERATE in (await authenticate(request)).scopes
     except SQLAlchemyError:  # the keys are in the database, which is one of the checks
         return not gateway.settings.is_public
-
-
-async def _check(question: Awaitable[object]) -> Check:
-    try:
-        async with asyncio.timeout(_CHECK_S):
-            await question
-    except TimeoutError:
-        return Check(ok=False, detail=f"no answer within {_CHECK_S:g} s")
-    except SQLAlchemyError as error:
-        return Check(ok=False, detail=fault_of(error).value)
-    except Exception as error:  # noqa: BLE001 - whatever it is, the gateway is not ready; its type is reported
-        return Check(ok=False, detail=type(error).__name__)
-    return Check(ok=True, detail="answers")
-
-
-async def _store(store: Store, scrub: ScrubState) -> Check:
-    """Damaged files are told, but jobs can run with them, so the store is ready."""
-    found = await _check(asyncio.to_thread(store.list, "catalog/", limit=1))
-    if not found.ok or not scrub.damaged:
-        return found
-    detail = f"{found.detail}; {len(scrub.damaged)} files are damaged, the first is {scrub.damaged[0]}"
-    return Check(ok=True, detail=detail)
-
-
-async def _database(job_store: AsyncJobStore, snapshots: Snapshots) -> Check:
-    if snapshots.fault:
-        return Check(ok=False, detail=f"damaged: {snapshots.fault}")
-    if job_store.is_full:
-        return Check(ok=False, detail=Fault.FULL.value)
-    return await _check(job_store.read(JobStore.check_writable))
-
-
-def _folders(store: Store) -> list[Path]:
-    return [store.root] if isinstance(store, LocalStore) else []
-
-
-def _disk(folders: list[Path]) -> Check:
-    free = min(shutil.disk_usage(folder).free for folder in folders)
-    return Check(ok=free >= _LEAST_FREE, detail=f"{free / 1e9:.1f} GB are free")
-
-
-async def _workers(workers: WorkerPool) -> Check:
-    found = await workers.poll()
-    usable = [worker for worker in found if worker.is_compatible]
-    free = sum(worker.free_slots for worker in usable if not worker.draining)
-    details = [f"{len(found)} of {len(workers.addresses)} workers answer", f"{free} slots are free"]
-    details += [f"{worker.address} is of version {worker.version}" for worker in found if not worker.is_compatible]
-    details += [f"{name} resolves to no address" for name in workers.unresolved]
-    return Check(ok=bool(usable), detail=", ".join(details))

@@ -28,7 +28,7 @@ from capture2vr.gateway.jobs.job import Event, Job, Order
 from capture2vr.gateway.jobs.state_machine import request_cancel
 from capture2vr.gateway.jobs.store import JOB_ID, JobStore
 from capture2vr.gateway.languages import for_reader
-from capture2vr.gateway.metrics import Metrics
+from capture2vr.gateway.metrics.metrics import Metrics
 from capture2vr.gateway.photo_boxes import require_box
 from capture2vr.gateway.routes.access_rules import ANYONE, caller_of, limits_of, needs
 from capture2vr.gateway.routes.event_streams import (

@@ -14,7 +14,7 @@ from capture2vr.gateway.routes.assets import Key, check_key
 from capture2vr.gateway.routes.read_rules import unknown_asset
 from capture2vr.gateway.routes.store_access import in_thread, store_of
 from capture2vr.gateway.schemas import Description, Label, Labels, StrictBody, problems
-from capture2vr.storage.catalogue.names_update import change_names
+from capture2vr.storage.catalogue.change_entry import change_names
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 

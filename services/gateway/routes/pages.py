@@ -27,7 +27,7 @@ from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.settings import GatewaySettings
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.entry import valid_key
-from capture2vr.storage.catalogue.scene import SCENE_ID
+from capture2vr.storage.scenes.scene import SCENE_ID
 from capture2vr.storage.store import PresigningStore, Store
 
 router = APIRouter(tags=["pages"])

@@ -37,7 +37,7 @@ from capture2vr.gateway.scenes.moves import MovedItem, Moves
 from capture2vr.gateway.schemas import problems
 from capture2vr.gateway.waiting import happens_within
 from capture2vr.sentences.sentence import say
-from capture2vr.storage.catalogue.scene import Scene
+from capture2vr.storage.scenes.scene import Scene
 
 router = APIRouter(prefix="/v1", tags=["scenes"])
 

@@ -21,8 +21,8 @@ from capture2vr.gateway.routes.read_rules import READS_SCENE, reading_of, unknow
 from capture2vr.gateway.routes.store_access import in_thread, page_path, store_of
 from capture2vr.gateway.schemas import StrictBody, problems
 from capture2vr.sentences.sentence import say
-from capture2vr.storage.catalogue.scene import SCENE_ID, PlacedAsset, PlacedAssets, Scene, SceneName
-from capture2vr.storage.catalogue.scene_documents import (
+from capture2vr.storage.scenes.scene import SCENE_ID, PlacedAsset, PlacedAssets, Scene, SceneName
+from capture2vr.storage.scenes.scene_documents import (
     MOST_SCENES,
     SceneChanged,
     TooManyScenes,

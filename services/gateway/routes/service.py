@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
-import time
+from dataclasses import asdict
 from datetime import UTC, datetime
-from pathlib import Path
 
 from fastapi import APIRouter
 from pydantic import BaseModel
 
 import capture2vr
 from capture2vr.gateway.access.caller import Scope
+from capture2vr.gateway.database.disks import disks_of
 from capture2vr.gateway.gateway import GatewayOf
 from capture2vr.gateway.jobs.job import Job, State
 from capture2vr.gateway.jobs.state_machine import RUNNING_STATES
 from capture2vr.gateway.jobs.store import JobStore
 from capture2vr.gateway.routes.access_rules import needs
-from capture2vr.gateway.routes.health import run_checks
 from capture2vr.gateway.schemas import Check
+from capture2vr.gateway.vitals.checks import run_checks
 from capture2vr.gateway.workers.worker_client import WorkerPool
 from capture2vr.gateway.workers.worker_types import WorkerStatus
-from capture2vr.storage.local import LocalStore
-from capture2vr.storage.store import Store
 
 router = APIRouter(prefix="/v1", tags=["access"])
 
@@ -94,41 +91,35 @@ class QueueView(BaseModel):
 
 @router.get("/queue", response_model=QueueView, dependencies=[needs(Scope.OPERATE)])
 async def get_queue(gateway: GatewayOf) -> QueueView:
-    """Get the length of the queue, by which an autoscaler adds and removes workers: one query, nobody is asked."""
-    jobs = gateway.job_store
-    counts, oldest = await asyncio.gather(jobs.read(JobStore.count_by_state), jobs.read(JobStore.oldest_queued))
-    queued, running = counts[State.QUEUED], sum(counts[state] for state in RUNNING_STATES)
-    return QueueView(queued=queued, running=running, unfinished=queued + running, waiting_s=_waiting(oldest))
+    """Get the length of the queue, by which an autoscaler adds and removes workers: nothing is counted for it."""
+    figures = await gateway.job_store.read(JobStore.figures)
+    queued, running = figures.counts[State.QUEUED], sum(figures.counts[state] for state in RUNNING_STATES)
+    return QueueView(queued=queued, running=running, unfinished=queued + running, waiting_s=figures.waiting_s)
 
 
 @router.get("/service", response_model=ServiceView, dependencies=[needs(Scope.OPERATE)])
 async def get_service(gateway: GatewayOf) -> ServiceView:
     """Get the state of queue, workers, stores and disks, and the jobs that failed last."""
     jobs, pool = gateway.job_store, gateway.workers
-    checks, workers, counts, oldest, failures, disks = await asyncio.gather(
+    checks, workers, figures, failures, disks = await asyncio.gather(
         run_checks(gateway),
         pool.poll(),
-        jobs.read(JobStore.count_by_state),
-        jobs.read(JobStore.oldest_queued),
+        jobs.read(JobStore.figures),
         jobs.read(JobStore.failures, limit=_FAILURES),
-        asyncio.to_thread(_disks, gateway.settings.data_dir, gateway.store),
+        asyncio.to_thread(disks_of, gateway.settings.data_dir, gateway.store),
     )
     return ServiceView(
         version=capture2vr.__version__,
         open=await gateway.access.authentication.is_open(),
         ready=all(check.ok for check in checks.values()),
         checks=checks,
-        jobs=counts,
-        waiting_s=_waiting(oldest),
+        jobs=dict(figures.counts),
+        waiting_s=figures.waiting_s,
         workers=[_worker_view(each) for each in workers],
         silent_workers=_silent(pool, workers),
-        disks=disks,
+        disks=[DiskView(**asdict(disk)) for disk in disks],
         failures=[_failure_view(job) for job in failures],
     )
-
-
-def _waiting(oldest: float | None) -> float:
-    return max(0.0, time.time() - oldest) if oldest is not None else 0.0
 
 
 def _worker_view(found: WorkerStatus) -> WorkerView:
@@ -140,17 +131,6 @@ def _worker_view(found: WorkerStatus) -> WorkerView:
 def _silent(pool: WorkerPool, answering: tuple[WorkerStatus, ...]) -> list[str]:
     known = {each.address for each in answering}
     return [address for address in pool.addresses if address not in known]
-
-
-def _disks(data_dir: Path, store: Store) -> list[DiskView]:
-    """Return the disks of the data folder and of a local store, where that is another one."""
-    folders = [("database and staging", data_dir)]
-    if isinstance(store, LocalStore) and store.root.stat().st_dev != data_dir.stat().st_dev:
-        folders.append(("objects", store.root))
-    elif isinstance(store, LocalStore):
-        folders = [("database, staging and objects", data_dir)]
-    usage = [(holds, shutil.disk_usage(folder)) for holds, folder in folders]
-    return [DiskView(holds=holds, free_bytes=found.free, total_bytes=found.total) for holds, found in usage]
 
 
 def _failure_view(job: Job) -> FailureView:

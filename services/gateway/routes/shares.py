@@ -24,9 +24,9 @@ from capture2vr.gateway.routes.read_rules import unknown_asset, unknown_collecti
 from capture2vr.gateway.routes.store_access import gateway_url, in_thread, path_of_tenant, store_of
 from capture2vr.gateway.schemas import Label, StrictBody, problems
 from capture2vr.sentences.sentence import say
-from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.entry import entry_name, valid_key
-from capture2vr.storage.catalogue.scene_documents import scene_name
+from capture2vr.storage.catalogue.root import index_name
+from capture2vr.storage.scenes.scene_documents import scene_name
 
 router = APIRouter(prefix="/v1", tags=["shares"])
 

@@ -17,9 +17,10 @@ from capture2vr.gateway.routes.read_rules import unknown_asset, unknown_collecti
 from capture2vr.gateway.routes.store_access import in_thread, page_path, store_of
 from capture2vr.gateway.schemas import StrictBody, problems
 from capture2vr.sentences.sentence import say
+from capture2vr.storage.catalogue.change_entry import set_asset_visibility
 from capture2vr.storage.catalogue.entry import valid_key
+from capture2vr.storage.catalogue.update import set_collection_visibility
 from capture2vr.storage.catalogue.visibility import Visibility
-from capture2vr.storage.catalogue.visibility_update import set_asset_visibility, set_collection_visibility
 
 router = APIRouter(prefix="/v1", tags=["visibility"])
 

@@ -6,7 +6,7 @@ import asyncio
 from dataclasses import dataclass, field
 
 from capture2vr.gateway.scenes.moves import MovedItem, Moves
-from capture2vr.storage.catalogue.scene import MOST_ITEMS
+from capture2vr.storage.scenes.scene import MOST_ITEMS
 
 
 @dataclass(slots=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import Field, TypeAdapter
 
-from capture2vr.storage.catalogue.scene import STRICT, ItemId, Position, Rotation, Scale, check_unit
+from capture2vr.storage.scenes.scene import STRICT, ItemId, Position, Rotation, Scale, check_unit
 
 MOST_MOVED = 8
 """Most things of one report: two hands hold two, and eight fit into a notification of Postgres, of 8,000 bytes."""

@@ -8,8 +8,8 @@ import anyio.to_thread
 from cachetools import TTLCache
 
 from capture2vr.gateway.access.readers import Thing
-from capture2vr.storage.catalogue.scene import Scene
-from capture2vr.storage.catalogue.scene_documents import read_scene
+from capture2vr.storage.scenes.scene import Scene
+from capture2vr.storage.scenes.scene_documents import read_scene
 from capture2vr.storage.store import Store
 from capture2vr.storage.tenant_store import store_of_tenant
 

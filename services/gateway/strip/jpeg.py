@@ -16,6 +16,7 @@ from capture2vr.gateway.strip.in_place import (
     is_blank,
     unique_names,
 )
+from capture2vr.gateway.strip.panorama_tags import projection_of_picture
 from capture2vr.sentences.sentence import say
 
 _SCAN, _END, _COMMENT = 0xDA, 0xD9, 0xFE
@@ -50,11 +51,23 @@ def clean(data: Buffer) -> CleanResult:
             has_exif = True
             removed += names
         elif _is_metadata(data, marker, start) and not is_blank(data, start, end):
-            removed.append(_name(data, marker, start))
-            blank(data, start, end)
+            removed += _blanked(data, marker, start, end)
     if end < len(data):
         removed.append("Trailer")
     return CleanResult(unique_names(removed), end)
+
+
+def _blanked(data: Buffer, marker: int, start: int, end: int) -> list[str]:
+    """Overwrite metadata, but for the projection of a panorama; return its name where it was more than that."""
+    block, name = bytes(data[start:end]), _name(data, marker, start)
+    kept = projection_of_picture(block) if marker == 0xE1 else b""
+    if kept == block:
+        return []
+    if kept:
+        data[start:end] = kept
+    else:
+        blank(data, start, end)
+    return [name]
 
 
 def is_progressive(data: Buffer) -> bool:

@@ -20,9 +20,11 @@ from capture2vr.gateway.strip.in_place import (
     blank,
     blank_all,
     is_blank,
+    read_metadata,
     unique_names,
 )
 from capture2vr.gateway.strip.iso_boxes import Box, boxes, find, free_box
+from capture2vr.gateway.strip.panorama_tags import projection_of_video
 from capture2vr.sentences.sentence import say
 
 _UNUSED = {b"free", b"skip", b"wide"}
@@ -40,6 +42,7 @@ _PICTURES = {b"vide", b"auxv", b"pict"}
 _ALLOWED_TRACKS = _PICTURES | {b"soun", b"tmcd"}
 _MOST_TRACKS = 32  # metadata tracks; phones write up to eight
 _MOST_ENTRIES = 1_000_000  # of one sample table: nine hours at 30 Hz
+_SPHERICAL = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")  # of Google's "Spherical Video V1"
 _KEY = re.compile(rb"com\.[A-Za-z0-9.-]+")
 
 Range = tuple[int, int]
@@ -116,7 +119,8 @@ def _clean_boxes(film: _Mp4Film, boxes_found: Iterable[Box], allowed: set[bytes]
         if box.kind in _UNUSED:
             blank(film.data, box.body, box.end)
         elif box.kind not in allowed:
-            _remove(film, box)
+            if not (box.kind == b"uuid" and _keep_projection(film, box)):
+                _remove(film, box)
         elif box.kind == b"trak" and _handler(film.data, box) not in _ALLOWED_TRACKS:
             _remove_track(film, box)
         elif box.kind == b"traf" and _track_number(film.data, box, b"tfhd", 4) in film.removed_tracks:
@@ -130,6 +134,19 @@ def _remove(film: _Mp4Film, box: Box) -> None:
     if not is_blank(film.data, box.body, box.end):
         film.removed += _names(film.data, box)
     free_box(film.data, box)
+
+
+def _keep_projection(film: _Mp4Film, box: Box) -> bool:
+    """Leave of a box that describes a video of all sides its projection alone; return whether it is such a box."""
+    if bytes(film.data[box.body : box.body + len(_SPHERICAL)]) != _SPHERICAL:
+        return False
+    start = box.body + len(_SPHERICAL)
+    block = read_metadata(film.data, start, box.end)
+    kept = projection_of_video(block)
+    if kept and kept != block:
+        film.data[start : box.end] = kept
+        film.removed.append("SphericalVideo")
+    return bool(kept)
 
 
 def _remove_track(film: _Mp4Film, track: Box) -> None:

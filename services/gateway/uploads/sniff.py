@@ -65,6 +65,7 @@ _DATA_SUFFIXES |= {
     ".e57",
     ".ptx",
     ".splat",
+    ".ksplat",
     ".info",
     ".depth",
     ".conf",

@@ -19,7 +19,8 @@ import pytest
 from cryptography import x509
 
 from capture2vr.cli.deployment import tls_authority
-from capture2vr.cli.deployment.deploy_work import WORKER_NAMES, KeyFolder
+from capture2vr.cli.deployment.deploy_work import WORKER_NAMES
+from capture2vr.cli.deployment.key_folder import KeyFolder
 from capture2vr.cli.up import free_port
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
 from capture2vr.storage.catalogue.verify import fetch_from, verify

@@ -34,6 +34,17 @@ def test_the_rectangle_says_which_thing_is_made(tmp_path: Path) -> None:
     assert blue > red + 50
 
 
+def test_the_setting_of_a_worker_names_the_models_of_a_run_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rgb = np.full((300, 400, 3), 215, np.uint8)
+    cv2.circle(rgb, (200, 150), 60, (180, 40, 30), cv2.FILLED)
+    cv2.imwrite(str(tmp_path / "disc.png"), rgb)
+    monkeypatch.setenv("EDGE_MODELS", str(tmp_path / "gone"))
+    result = capture2vr("run", "disc.png", "-o", "out", *BRIEFLY, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "without a learned model" in result.stderr
+    assert report(tmp_path / "out")["models"] == []
+
+
 def test_a_proposal_is_told_with_its_rectangle_and_what_to_do(tmp_path: Path) -> None:
     photo = render_walkaround(tmp_path / "walk", views=4, size=(480, 360)).photos[PROPOSED]
     result = capture2vr("run", photo, "-o", tmp_path / "out", *BRIEFLY, cwd=tmp_path)

@@ -16,8 +16,15 @@ import sqlalchemy as sa
 import capture2vr.gateway.app  # noqa: F401 - with it come all tables
 from capture2vr.gateway.access.caller import ALL_SCOPES
 from capture2vr.gateway.access.store import AccessStore
-from capture2vr.gateway.backup.database_copy import DatabaseNotEmpty, check_importable, export_database, import_database
-from capture2vr.gateway.database.database import create_engine, metadata, newest_schema, open_engine, schema_of, upgrade
+from capture2vr.gateway.backup.database_copy import (
+    DatabaseNotEmpty,
+    check_importable,
+    export_database,
+    import_database,
+    lost_rows,
+)
+from capture2vr.gateway.database.database import create_engine, metadata, open_engine
+from capture2vr.gateway.database.schema import newest_schema, schema_of, upgrade
 from capture2vr.gateway.jobs.job import Order, State
 from capture2vr.gateway.jobs.reports import RunFinished, VersionPublished
 from capture2vr.gateway.jobs.state_machine import Retry, apply_reports, lease_to_worker, request_cancel
@@ -85,6 +92,8 @@ def rows(engine: sa.Engine) -> dict[str, list[tuple[Any, ...]]]:
     found = {}
     with engine.connect() as db:
         for table in metadata.sorted_tables:
+            if table.name == "job_counts":  # made anew by triggers, of which each test of them tells
+                continue
             columns = [sa.cast(each, sa.Text) if isinstance(each.type, sa.JSON) else each for each in table.columns]
             stored = db.execute(sa.select(*columns)).all()
             texts = [isinstance(each.type, sa.JSON) for each in table.columns]
@@ -106,6 +115,7 @@ def copied(url: str, target: str, tmp_path: Path) -> tuple[int, int]:
     check_importable(target, exported.schema)
     done = import_database(target, tmp_path / "database.zip", exported.schema)
     assert done.rows == exported.rows
+    assert list(lost_rows(target, tmp_path / "database.zip")) == [], "with jobs that run and are queued again, too"
     return done.rows, done.queued
 
 
@@ -120,7 +130,7 @@ def test_every_row_comes_back(url: str, target: str, tmp_path: Path) -> None:
     with opened(target) as engine:
         after = rows(engine)
     changed = {name for name in before if after[name] != before[name]}
-    assert changed == {"jobs", "leases", "events", "webhook_messages"}, "of the jobs that ran"
+    assert changed == {"jobs", "leases", "events", "webhook_messages", "ended_jobs"}, "of the jobs that ran"
     assert all(len(found) for name, found in before.items() if name in ("tenants", "api_keys", "secrets", "webhooks"))
 
 
@@ -133,6 +143,7 @@ def test_jobs_that_ran_are_queued_again_and_others_are_as_they_were(url: str, ta
         jobs = JobStore(engine)
         assert jobs.get("ada", made["ended"]) == ended
         states = {name: jobs.get("ada", job).state for name, job in made.items()}
+        assert jobs.figures().counts == {state: list(states.values()).count(state) for state in State}
         assert states == {
             "ended": State.SUCCEEDED,
             "runs": State.QUEUED,

@@ -53,9 +53,12 @@ def add_jobs(database: Path, *keys: str) -> list[str]:
 
 
 def known_jobs(database: Path) -> dict[str, State]:
+    """The states of all jobs; those that the database has counted are as many."""
     engine = open_engine(f"sqlite:///{database}")
     try:
-        return {job.id: job.state for job in JobStore(engine).page(DEFAULT_TENANT, limit=200)}
+        found = {job.id: job.state for job in JobStore(engine).page(DEFAULT_TENANT, limit=200)}
+        assert JobStore(engine).figures().counts[State.QUEUED] == list(found.values()).count(State.QUEUED)
+        return found
     finally:
         engine.dispose()
 

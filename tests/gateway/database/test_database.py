@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
+from alembic import op
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 
 import capture2vr.gateway.app  # noqa: F401 - with it come all tables
+from capture2vr.gateway import migrations
 from capture2vr.gateway.access.store import AccessStore
-from capture2vr.gateway.database.database import SchemaNewer, metadata, open_engine, pipelined
+from capture2vr.gateway.database.database import create_engine, metadata, open_engine, pipelined
+from capture2vr.gateway.database.schema import SchemaNewer, least_readable, newest_schema, number_of, schema_of
 from capture2vr.gateway.jobs.job import Order
 from capture2vr.gateway.jobs.store import JobStore
 from capture2vr.gateway.jobs.tables import queue_turns
@@ -24,6 +30,7 @@ from capture2vr.process.strict_settings import SettingsError
 
 _ORDER = Order("cap_1", "dress", JobOptions("draft", names=AssetNames("Dress")))
 _JOB = "job_" + "0" * 32
+MIGRATIONS = Path(migrations.__file__).parent
 
 
 def test_the_migrations_make_the_tables_that_the_code_expects(url: str) -> None:
@@ -131,13 +138,100 @@ def test_gateways_that_start_at_once_migrate_once(url: str) -> None:
     engine.dispose()
 
 
-def test_a_database_of_a_newer_gateway_is_refused_and_left_alone(url: str) -> None:
+def newer(url: str, revision: str, least: int | None) -> None:
+    """Make a database one of a newer gateway."""
     open_engine(url).dispose()
     engine = sa.create_engine(url)
     with engine.begin() as db:
-        db.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
-    with pytest.raises(SchemaNewer, match=r"newer gateway \(schema 9999\)"):
-        open_engine(url)
-    with engine.begin() as db:
-        assert db.exec_driver_sql("SELECT version_num FROM alembic_version").scalar_one() == "9999"
+        db.execute(
+            sa.text("UPDATE alembic_version SET version_num = :new, least_readable = :least"),
+            {"new": revision, "least": least},
+        )
     engine.dispose()
+
+
+@pytest.mark.parametrize("least", [9999, None])
+def test_a_database_of_a_newer_gateway_is_refused_and_left_alone(url: str, least: int | None) -> None:
+    newer(url, "9999", least)
+    with pytest.raises(SchemaNewer, match=r"newer gateway \(schema 9999.*restore the backup"):
+        open_engine(url)
+    engine = sa.create_engine(url)
+    with engine.begin() as db:
+        assert schema_of(db) == "9999"
+    engine.dispose()
+
+
+def test_a_newer_schema_that_this_gateway_reads_is_worked_with(url: str) -> None:
+    """The gateway of the release before, beside a newer one: new columns with a default are none of its business."""
+    newer(url, "9999_later", number_of(newest_schema()))
+    other = sa.create_engine(url)
+    with other.begin() as db:
+        db.exec_driver_sql("ALTER TABLE jobs ADD COLUMN mood VARCHAR(9) NOT NULL DEFAULT 'calm'")
+    engine = open_engine(url)
+    created = JobStore(engine).create("default", _ORDER)
+    assert JobStore(engine).get("default", created.id).order == _ORDER
+    with other.begin() as db:
+        assert db.exec_driver_sql("SELECT version_num, least_readable FROM alembic_version").all() == [
+            ("9999_later", number_of(newest_schema()))
+        ]
+    for each in (engine, other):
+        each.dispose()
+
+
+def test_every_migration_leaves_a_database_that_the_release_before_works_with() -> None:
+    """Expand, then contract: what the schema before it used, a migration does not take away."""
+    for script in ScriptDirectory(str(MIGRATIONS), version_locations=[str(MIGRATIONS)]).walk_revisions():
+        number = number_of(script.revision)
+        assert number > 0, script.revision
+        if number >= 11:
+            assert 10 <= script.module.least_readable < number, script.revision
+
+
+def test_the_database_says_which_gateways_work_with_it(url: str) -> None:
+    engine = open_engine(url)
+    with engine.connect() as db:
+        assert least_readable(db) == 10
+    engine.dispose()
+
+
+def test_each_migration_has_a_transaction_of_its_own(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that fails leaves what those before it have done, and the next start goes on from there."""
+    make_first_schema(url)
+    with monkeypatch.context() as patch:
+        patch.setattr(op, "batch_alter_table", _fails)  # of the tenth
+        with pytest.raises(RuntimeError, match="of a test"):
+            open_engine(url)
+    engine = create_engine(url)
+    with engine.connect() as db:
+        assert schema_of(db) == "0009_credentials"
+    engine.dispose()
+    engine = open_engine(url)
+    with engine.connect() as db:
+        assert schema_of(db) == newest_schema()
+    engine.dispose()
+
+
+def _fails(*_: object) -> None:
+    raise RuntimeError("of a test")
+
+
+def test_a_migration_waits_for_a_table_that_others_use(empty_postgres: str) -> None:
+    """It does not stand in their way meanwhile: who wants a table behind it would wait too."""
+    make_first_schema(empty_postgres)
+    other = sa.create_engine(empty_postgres)
+    with other.begin() as db, ThreadPoolExecutor(1) as pool:
+        db.exec_driver_sql("SELECT count(*) FROM jobs")
+        migrating = pool.submit(open_engine, empty_postgres)
+        while not db.exec_driver_sql(
+            "SELECT count(*) FROM pg_locks WHERE NOT granted AND relation = 'jobs'::regclass"
+        ).scalar_one():
+            assert not migrating.done()
+            time.sleep(0.01)
+        while db.exec_driver_sql(
+            "SELECT count(*) FROM pg_locks WHERE NOT granted AND relation = 'jobs'::regclass"
+        ).scalar_one():
+            time.sleep(0.01)  # until it gives up for a moment
+        assert not migrating.done()
+        db.commit()
+        migrating.result().dispose()
+    other.dispose()

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 
 from capture2vr.gateway.database import database
-from capture2vr.gateway.routes import health
+from capture2vr.gateway.vitals import checks
 from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
 
 
@@ -81,7 +81,7 @@ async def test_a_gateway_without_space_is_not_ready(tmp_path: Path, monkeypatch:
     store = memory()
     async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
         assert (await client.get("/readyz")).json()["checks"]["disk"]["ok"]
-        monkeypatch.setattr(health, "_LEAST_FREE", 1 << 60)
+        monkeypatch.setattr(checks, "_LEAST_FREE", 1 << 60)
         answer = await client.get("/readyz")
     assert answer.status_code == 503
     assert [name for name, check in answer.json()["checks"].items() if not check["ok"]] == ["disk"]

@@ -137,7 +137,7 @@ def test_a_free_slot_is_leased_once(store: JobStore, url: str) -> None:
         job = store.claim(1e12, ("draft",), lease(), Slot("w:1", 2))
         assert job is not None
         got.append(job.id)
-    assert store.count_by_state()[State.RUNNING] == len(set(got)) == 2
+    assert store.figures().counts[State.RUNNING] == len(set(got)) == 2
     with pytest.raises(SlotTaken):
         store.claim(1e12, ("draft",), lease(), Slot("w:1", 2))
     done = [VersionPublished(1, "dress", 1, "refined", "m"), RunFinished(2, (), {})]
@@ -179,7 +179,7 @@ def test_a_run_ends_where_its_slot_is_not_free_for_the_next_job(store: JobStore)
     assert store.get(HOME, jobs[0].id) == ended
     going_on, following = store.end_run(jobs[1].id, ends(reports=[RunProgress(1, "FITTING", 0.5)]), behind(slots=2))
     assert (going_on.state, following) == (State.RUNNING, None), "it goes on, and keeps its slot"
-    assert store.count_by_state()[State.QUEUED] == 2
+    assert store.figures().counts[State.QUEUED] == 2
 
 
 def test_the_end_of_a_run_and_the_next_lease_are_stored_together_or_not_at_all(store: JobStore) -> None:
@@ -244,7 +244,7 @@ def test_pages_are_newest_first_and_complete(store: JobStore) -> None:
     while page := store.page(HOME, limit=3, after=seen[-1] if seen else ""):
         seen += [job.id for job in page]
     assert seen == sorted(jobs, reverse=True)
-    assert store.count_by_state()[State.QUEUED] == 7
+    assert store.figures().counts[State.QUEUED] == 7
 
 
 def test_others_news_are_heard(store: JobStore) -> None:

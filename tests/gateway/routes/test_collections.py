@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import json
+import sqlite3
 from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, closing
 from pathlib import Path
 
 import httpx
 import pytest
 
 from capture2vr.gateway.app import create_app
+from capture2vr.gateway.routes import collections
+from capture2vr.gateway.search import indexes
 from capture2vr.gateway.settings import GatewaySettings
-from capture2vr.storage.catalogue.collection import RETIRED_SHARDS, index_name, read_index
+from capture2vr.storage.catalogue.commit import forget_retired
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
+from capture2vr.storage.catalogue.root import index_name, read_index, root_name
 from capture2vr.storage.catalogue.signing import Keys, check_signatures, public_key
 from capture2vr.storage.catalogue.verify import verify
 from capture2vr.storage.local import LocalStore
@@ -24,10 +29,12 @@ from capture2vr.storage.store import Store
 from tests.storage.catalogue.test_signing import ONE, TWO
 from tests.support.bundles import Crash, CrashingStore, bundle, listed
 from tests.support.in_process_gateway import answering
+from tests.support.patience import PATIENCE_S
 
 SIGNED = Keys(signers=(ONE,))
 SIGNING = PublishPolicy(SIGNED)
 INDEX = index_name("default")
+ROOT = root_name("default")
 
 
 def client(folder: Path, store: Store, keys: Keys = SIGNED) -> AbstractAsyncContextManager[httpx.AsyncClient]:
@@ -54,17 +61,29 @@ async def gateway(tmp_path: Path, store: MemoryStore) -> AsyncIterator[httpx.Asy
         yield gateway
 
 
-async def test_the_index_is_what_the_store_has(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
-    answer = await gateway.get("/v1/collections/default")
-    told, stored = answer.json(), json.loads(store.get(INDEX))
+@pytest.mark.parametrize(("query", "name"), [("", INDEX), ("?form=tree", ROOT)])
+async def test_root_and_index_are_what_the_store_has(
+    gateway: httpx.AsyncClient, store: MemoryStore, query: str, name: str
+) -> None:
+    answer = await gateway.get(f"/v1/collections/default{query}")
+    told, stored = answer.json(), json.loads(store.get(name))
     assert {**told, "base": ""} == {**stored, "base": ""}
     assert (answer.headers["cache-control"], answer.headers["access-control-allow-origin"]) == ("no-cache", "*")
     assert read_index(answer.content, "default", SIGNED.verification_keys).version == 3
-    again = await gateway.get("/v1/collections/default", headers={"If-None-Match": answer.headers["etag"]})
+    again = await gateway.get(f"/v1/collections/default{query}", headers={"If-None-Match": answer.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
     publish(bundle(), store, key="new", policy=SIGNING)
-    changed = await gateway.get("/v1/collections/default", headers={"If-None-Match": answer.headers["etag"]})
+    changed = await gateway.get(f"/v1/collections/default{query}", headers={"If-None-Match": answer.headers["etag"]})
     assert changed.status_code == 200
+
+
+async def test_a_client_that_is_too_old_for_a_large_collection_is_told(
+    gateway: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collections, "MOST_FLAT", 2)
+    answer = await gateway.get("/v1/collections/default")
+    assert (answer.status_code, answer.json()["code"]) == (410, "COLLECTION_LARGE")
+    assert (await gateway.get("/v1/collections/default?form=tree")).status_code == 200
 
 
 async def test_everything_can_be_checked_from_the_index_on(tmp_path: Path) -> None:
@@ -75,8 +94,8 @@ async def test_everything_can_be_checked_from_the_index_on(tmp_path: Path) -> No
         (key,) = (await gateway.get("/v1/keys")).json()["keys"]
         believed = public_key(base64.b64decode(key["ed25519"]))
         assert (believed.id, believed) == (key["key"], ONE.public)
-        answer = await gateway.get("/v1/collections/default")
-        known = {INDEX: answer.content}
+        answer = await gateway.get("/v1/collections/default?form=tree")
+        known = {ROOT: answer.content}
         told = answer.json()
         check_signatures("x", told["signed"].encode(), told["signatures"], (believed,))
         for head in [*local.list("assets/"), *local.list("collections/default/shard.")]:
@@ -132,7 +151,7 @@ async def test_search_by_state_date_and_size(gateway: httpx.AsyncClient, store: 
 
 
 async def test_a_shard_that_is_retired_meanwhile_is_looked_up_anew(tmp_path: Path, store: MemoryStore) -> None:
-    """The index was read; before its shard is, so many versions are published that the shard has gone."""
+    """The index was read; before its shard is, another version is published and the shard deleted."""
 
     class Slow(CrashingStore):
         waits = True
@@ -140,12 +159,34 @@ async def test_a_shard_that_is_retired_meanwhile_is_looked_up_anew(tmp_path: Pat
         def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:
             if "shard" in name and self.waits:
                 self.waits = False
-                for number in range(RETIRED_SHARDS + 1):
-                    publish(bundle(content=f"{number}"), store, key="new", policy=SIGNING)
+                publish(bundle(), store, key="new", policy=SIGNING)
+                forget_retired(store, "default", SIGNING.keys)
             return super().get(name, start=start, length=length)
 
     async with client(tmp_path, Slow(store, -1, after=False)) as gateway:
         assert await found(gateway) == ["boot", "new", "shoe", "sofa"]
+
+
+async def test_a_large_collection_is_searched_by_an_index_and_what_is_new_is_found_at_once(
+    tmp_path: Path, gateway: httpx.AsyncClient, store: MemoryStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(indexes, "SCANNED_ROWS", 1)
+    async with asyncio.timeout(PATIENCE_S):
+        while not has_index(tmp_path):
+            assert await found(gateway, label="footwear") == ["boot", "shoe"]
+            await asyncio.sleep(0.02)
+    assert await found(gateway, label="footwear", limit=1) == ["boot", "shoe"]
+    publish(bundle(label="Pumps", labels=["Footwear"]), store, key="pumps", policy=SIGNING)
+    await gateway.post("/v1/assets/boot/remove")
+    assert await found(gateway, label="footwear") == ["pumps", "shoe"]
+
+
+def has_index(folder: Path) -> bool:
+    """Whether a gateway has an index with rows in it."""
+    for path in (folder / "data" / "search").glob("*.db"):
+        with closing(sqlite3.connect(path)) as connection:
+            return bool(connection.execute("SELECT value FROM meta WHERE name = 'token' AND value <> ''").fetchall())
+    return False
 
 
 async def test_a_row_leads_to_the_rest(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
@@ -229,8 +270,8 @@ async def test_a_collection_of_a_stranger_is_not_searched(tmp_path: Path, store:
 
 @pytest.mark.parametrize("damaged", [b"{", b"[]", b'{"signed": 1, "signatures": []}'])
 async def test_a_damaged_index_is_told(gateway: httpx.AsyncClient, store: MemoryStore, damaged: bytes) -> None:
-    store.put(INDEX, damaged, content_type="application/json")
-    for path in ("", "/assets"):
+    store.put(ROOT, damaged, content_type="application/json")
+    for path in ("", "?form=tree", "/assets"):
         answer = await gateway.get(f"/v1/collections/default{path}")
         assert (answer.status_code, answer.json()["code"]) == (503, "CATALOGUE_TRUNCATED")
 

@@ -18,6 +18,7 @@ from capture2vr.gateway.access.store import AccessStore
 from capture2vr.gateway.database.database import open_engine
 from capture2vr.gateway.records.audit_log import AuditStore
 from capture2vr.gateway.records.tenant_data import DAY_S, TenantData
+from capture2vr.gateway.search import indexes
 from capture2vr.storage.catalogue.verify import verify
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.memory import MemoryStore
@@ -103,7 +104,7 @@ async def test_everything_of_one_tenant_goes_and_the_other_feels_nothing(tmp_pat
         assert answer.status_code == 201
         receipt = answer.json()
         assert len(receipt["jobs"]) == 1
-        assert receipt["kept"] == ["collections/default/index.json"]
+        assert receipt["kept"] == ["collections/default/index.json", "collections/default/root.json"]
         assert names(store_of_tenant(store, "ada")) == receipt["kept"]
         assert not any(line.faults for line in verify(lambda name: [store.get(f"tenants/ada/{name}")], "default", ()))
         for path, field in (("captures", "captures"), ("jobs", "jobs"), ("assets", "assets")):
@@ -115,6 +116,22 @@ async def test_everything_of_one_tenant_goes_and_the_other_feels_nothing(tmp_pat
 
 
 @pytest.mark.slow
+async def test_what_finds_a_tenants_assets_goes_with_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(indexes, "SCANNED_ROWS", 0)
+    store = memory()
+    async with two_tenants(tmp_path, store) as site:
+        for tenant, client in (("ada", site.ada), ("bob", site.bob)):
+            publish_for(store, tenant, "dress")
+            assert (await client.get("/v1/collections/default/assets?label=dress")).json()["assets"] != []
+
+        async def has_files(count: int) -> bool:
+            return len(list((tmp_path / "gw" / "search").glob("*.db"))) == count
+
+        await until(lambda: has_files(2))
+        assert (await site.ada.post("/v1/deletions", json={"tenant": "ada"})).status_code == 201
+        await until(lambda: has_files(1))
+
+
 async def test_the_export_has_everything_and_nothing_of_others(tmp_path: Path) -> None:
     store = LocalStore(tmp_path / "store")
     async with two_tenants(tmp_path, store) as site:
@@ -162,7 +179,8 @@ def data(monkeypatch: pytest.MonkeyPatch) -> list[TenantData]:
 async def test_retention(tmp_path: Path, data: list[TenantData]) -> None:
     store = memory()
     async with two_tenants(tmp_path, store) as site:
-        assert (await site.ada.get("/v1/retention")).json()["captures_days"] == 0
+        own = {"captures_days": 0, "removed_assets_days": 0, "jobs_days": 90}
+        assert (await site.ada.get("/v1/retention")).json() == own
         kept = {"captures_days": 30, "removed_assets_days": 10, "jobs_days": 20}
         assert (await site.ada.put("/v1/retention", json=kept)).json() == kept
         assert (await site.ada.put("/v1/retention", json={"captures_days": -1})).status_code == 422
@@ -174,6 +192,7 @@ async def test_retention(tmp_path: Path, data: list[TenantData]) -> None:
             job = await start(client, await upload(client), "new")
             await client.post(f"/v1/jobs/{job}/cancel")
             await ended(client, job)
+        assert (await site.bob.put("/v1/retention", json={"jobs_days": 0})).json() == {**own, "jobs_days": 0}
         before = await everything(site.bob)
         found = []
         for days in (9, 11, 19, 21, 29, 31):
@@ -187,6 +206,18 @@ async def test_retention(tmp_path: Path, data: list[TenantData]) -> None:
         assert (await site.ada.post("/v1/assets/dress/restore")).status_code == 404
         assert await everything(site.bob) == before
         assert (await site.bob.post("/v1/assets/dress/restore")).status_code == 200
+
+
+async def test_jobs_go_after_the_days_of_the_service_without_a_receipt(tmp_path: Path, data: list[TenantData]) -> None:
+    async with two_tenants(tmp_path, memory()) as site:
+        job = await start(site.ada, await upload(site.ada))
+        await site.ada.post(f"/v1/jobs/{job}/cancel")
+        await ended(site.ada, job)
+        await site.ada.put("/v1/retention", json={"captures_days": 1000})
+        for days, count in ((89, 1), (91, 0)):
+            await data[0].apply_retention(time.time() + days * DAY_S)
+            found = await everything(site.ada)
+            assert (found["jobs"], found["deleted"], found["captures"]) == (count, [], 1)
 
 
 async def everything(client: httpx.AsyncClient) -> dict[str, Any]:
@@ -261,12 +292,12 @@ async def test_what_cannot_be_deleted_is_named_and_the_rest_goes(
         ada = store_of_tenant(store, "ada")
         entry = json.loads(ada.get("catalog/dress.json"))
         ada.put("catalog/dress.json", json.dumps({**entry, "removed": "long ago"}).encode(), content_type="a")
-        ada.put("collections/default/index.json", b"{", content_type="application/json")
+        ada.put("collections/default/root.json", b"{", content_type="application/json")
         await data[0].apply_retention(time.time() + 40 * DAY_S)
         assert (await everything(site.ada))["deleted"] == ["capture cap_1"]
         assert (await everything(site.bob))["deleted"] == ["asset dress", "asset shoe", "capture cap_1"]
     assert "asset dress of ada: kept, because it cannot be read: Invalid isoformat string: 'long ago'" in caplog.text
-    assert "asset shoe of ada: could not be deleted, trying again later: collections/default/index.json" in caplog.text
+    assert "asset shoe of ada: could not be deleted, trying again later: collections/default/root.json" in caplog.text
 
 
 async def audit(client: httpx.AsyncClient, **params: Any) -> list[dict[str, Any]]:

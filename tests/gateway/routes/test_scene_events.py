@@ -20,7 +20,7 @@ from capture2vr.gateway.access import limits, sharing
 from capture2vr.gateway.access.caller import Scope
 from capture2vr.gateway.routes import scene_events
 from capture2vr.gateway.scenes import reads
-from capture2vr.storage.catalogue.scene_documents import replace_scene, scene_name
+from capture2vr.storage.scenes.scene_documents import replace_scene, scene_name
 from capture2vr.storage.store import Store
 from tests.gateway.routes.test_access import code_of
 from tests.support.in_process_gateway import gateway, memory

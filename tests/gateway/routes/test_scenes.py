@@ -10,8 +10,8 @@ import httpx
 import pytest
 
 from capture2vr.gateway.access.caller import Scope
-from capture2vr.storage.catalogue.scene_documents import scene_name
 from capture2vr.storage.local import LocalStore
+from capture2vr.storage.scenes.scene_documents import scene_name
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.gateway.routes.test_access import code_of
 from tests.support.in_process_gateway import gateway, memory

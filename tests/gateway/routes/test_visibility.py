@@ -10,9 +10,9 @@ import pytest
 
 from capture2vr.gateway.access import authentication, readers
 from capture2vr.gateway.access.caller import Scope
+from capture2vr.storage.catalogue.change_entry import set_asset_visibility
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.catalogue.visibility import Visibility
-from capture2vr.storage.catalogue.visibility_update import set_asset_visibility
 from capture2vr.storage.local import LocalStore
 from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.tenant_store import store_of_tenant

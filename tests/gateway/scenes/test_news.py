@@ -17,9 +17,9 @@ from capture2vr.gateway.scenes.listener import Listener
 from capture2vr.gateway.scenes.moves import MOST_MOVED, MovedItem, Moves, moves_as_json, moves_from_json
 from capture2vr.gateway.scenes.news import SceneNews
 from capture2vr.gateway.scenes.reads import SceneReads
-from capture2vr.storage.catalogue.scene import MOST_ITEMS
-from capture2vr.storage.catalogue.scene_documents import create_scene, replace_scene
 from capture2vr.storage.memory import MemoryStore
+from capture2vr.storage.scenes.scene import MOST_ITEMS
+from capture2vr.storage.scenes.scene_documents import create_scene, replace_scene
 from tests.gateway.routes.test_scene_events import THERE, Told, following, following_event, move, replaced, saved
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.patience import PATIENCE_S

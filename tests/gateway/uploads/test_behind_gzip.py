@@ -84,7 +84,9 @@ def test_what_cannot_be_read_behind_gzip_is_refused(tmp_path: Path, data: bytes,
     assert caught.value.code == code
 
 
-@pytest.mark.parametrize("name", ["hall.ptx", "garden.splat", "garden.spz"])
+@pytest.mark.parametrize("name", ["hall.ptx", "garden.splat", "garden.ksplat", "garden.spz"])
 def test_files_of_scans_and_splats_belong_to_captures(name: str) -> None:
-    head = {"hall.ptx": b"10\n20\n0 0 0\n", "garden.splat": b"\0\x01\xfe" * 20, "garden.spz": b"NGSP\2\0\0\0"}[name]
+    head = {"hall.ptx": b"10\n20\n0 0 0\n", "garden.splat": b"\0\x01\xfe" * 20, "garden.spz": b"NGSP\2\0\0\0"}.get(
+        name, b"\0\1" + bytes(30)
+    )
     assert sniff(name, head) is Kind.DATA
