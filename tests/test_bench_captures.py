@@ -20,9 +20,11 @@ from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.render.posed_picture import PosedPicture
 from capture2vr.edge.render.rays import RaycastingScene
+from capture2vr.edge.render.silhouette import cast_pixels
 from capture2vr.storage.bundle import Bundle
 from tests.bench import captures
 from tests.bench.borne_out import likeness_of_patches
+from tests.bench.outlines import depths_under, votes_of_outlines
 from tests.bench.photo_sets import (
     PhotoSet,
     above_the_ground,
@@ -201,7 +203,8 @@ def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_points_on_the_mesh_are_counted_in_whatever_frame_they_are() -> None:
     row, bundle, frames = row_and_frames(surfaces.sphere())
     shares = captures._shares_of_points(row, bundle, frames)
-    assert list(shares) == [*(f"reference within {each} %" for each in ("0.5", "1", "2")), "borne out"]
+    titles = [f"reference within {each} %" for each in ("0.5", "1", "2")]
+    assert list(shares) == [*titles, "borne out", "deeper, by outlines"]
     assert list(shares.values())[:3] == pytest.approx([100, 100, 100], abs=1)
 
 
@@ -237,6 +240,34 @@ def test_patches_of_the_true_surface_look_alike_in_all_photos() -> None:
     assert np.median(likeness_of_patches(places + 0.1 * up, up, photos, scene)) < 0.5
     assert np.isnan(likeness_of_patches(places, -up, photos, scene)).all()  # no photo sees the other side
     assert np.isnan(likeness_of_patches(places - 0.2 * up, up, photos, scene)).all()  # hidden by the surface
+
+
+def ball(radius: float) -> Mesh:
+    shape = trimesh.creation.icosphere(5, radius)
+    return Mesh(np.asarray(shape.vertices, np.float64), np.asarray(shape.faces, np.int64))
+
+
+def photo_of_a_red_ball(eye: tuple[float, float, float]) -> PosedPicture:
+    """A photo of a red ball of radius 0.5 before grey."""
+    pose, focal = scenes.look_at(eye, (0, 0, 0)), 1.2
+    scene = RaycastingScene(ball(0.5))
+    photo = PosedPicture(np.linalg.inv(pose), np.full(2, focal), np.full(2, 0.5), lambda: rgb)
+    found = cast_pixels(photo, scene, 300, 300)[0].face >= 0
+    rgb = np.where(found[:, None], [180, 30, 30], [128, 128, 120]).astype(np.uint8).reshape(300, 300, 3)
+    return photo
+
+
+def test_outlines_tell_which_of_two_surfaces_is_the_object_s() -> None:
+    photos = [photo_of_a_red_ball(eye) for eye in ((2, 0, 0.5), (-1, 1.7, 0.5), (0.2, 0, 2))]
+    true, larger = ball(0.5), ball(0.53)
+    smaller = surfaces.sampled(ball(0.47), 80_000)
+    outwards = smaller / np.linalg.norm(smaller, axis=1, keepdims=True)
+    depth = depths_under(true, smaller, outwards, 1.0)
+    np.testing.assert_allclose(depth, 0.03, atol=0.002)
+    ours, background = votes_of_outlines(true, depth, photos)
+    assert background < 0.05 * ours
+    ours, background = votes_of_outlines(larger, depth, photos)
+    assert ours < 0.05 * background
 
 
 def test_a_true_outline_is_that_of_the_camera() -> None:

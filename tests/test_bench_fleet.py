@@ -8,14 +8,15 @@ from statistics import mean
 import pytest
 
 from tests.bench.load.fleet import POOLS, Prices, at_share, capacity, cost_cents, read_samples
-from tests.bench.load.fleet_model import WAYS, Fleet, Links, Sample, Scaling, Way, simulate
+from tests.bench.load.fleet_model import WAYS, Commits, Fleet, Links, Sample, Scaling, Way, simulate
 
 EXACT = Links(phone_up=1e12, wifi=1e12, place_up=1e12, headset_down=1e12, spread=0.0)
+AT_ONCE = Commits(seconds=0.0)
 TEN_S = Sample("ten seconds", 1, 1, 1, 1, points_s=4.0, preview_s=5.0, refine_s=1.0)
 
 
 def one_pool(per_day: float, workers: int) -> Fleet:
-    return Fleet("centre", per_day, 0, Scaling(workers, workers), EXACT)
+    return Fleet("centre", per_day, 0, Scaling(workers, workers), EXACT, AT_ONCE)
 
 
 @pytest.mark.slow
@@ -33,13 +34,24 @@ def test_waiting_is_what_queueing_theory_says(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("way", WAYS)
 def test_every_capture_ends_once_and_no_time_is_lost(way: Way) -> None:
-    fleet = Fleet(way, 500, 5, Scaling(0, 50), EXACT)
+    fleet = Fleet(way, 500, 5, Scaling(0, 50), EXACT, AT_ONCE)
     outcome = simulate(fleet, [TEN_S])
     assert len(outcome.first_look_s) == len(outcome.end_s) == outcome.arrived
     assert outcome.arrived == pytest.approx(500, abs=5 * math.sqrt(500))
     assert outcome.worked_s == pytest.approx(10 * outcome.arrived)
     assert outcome.pool_s + outcome.box_s >= outcome.worked_s * (0.6 if way == "split" else 1) - 1e-6
     assert min(outcome.first_look_s) >= 9
+
+
+def test_who_publishes_during_a_commit_shares_the_next_one() -> None:
+    def listed(most: int) -> list[float]:
+        fleet = Fleet("centre", 20_000, 0, Scaling(60, 60), EXACT, Commits(2.0, most))
+        return simulate(fleet, [TEN_S], from_hour=11, to_hour=12.5).listed_s
+
+    shared, alone = listed(128), listed(1)
+    assert min(shared) == pytest.approx(2.0)
+    assert max(shared) < 4.001, "the rest of a commit, and a whole one, however many publish"
+    assert at_share(alone, len(alone), 0.5) > 60
 
 
 def test_the_same_seed_is_the_same_day() -> None:
@@ -49,8 +61,8 @@ def test_the_same_seed_is_the_same_day() -> None:
 
 
 def test_a_pool_grows_with_the_queue_and_shrinks_to_none() -> None:
-    quiet = simulate(Fleet("centre", 20, 0, Scaling(0, 100), EXACT), [TEN_S])
-    busy = simulate(Fleet("centre", 20_000, 0, Scaling(0, 100), EXACT), [TEN_S])
+    quiet = simulate(Fleet("centre", 20, 0, Scaling(0, 100), EXACT, AT_ONCE), [TEN_S])
+    busy = simulate(Fleet("centre", 20_000, 0, Scaling(0, 100), EXACT, AT_ONCE), [TEN_S])
     assert quiet.most_workers <= 3
     assert quiet.pool_s < 0.2 * 86_400, "it costs nothing while nobody comes"
     assert min(quiet.first_look_s) >= 9

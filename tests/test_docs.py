@@ -30,7 +30,7 @@ from tests.support.photos.walkaround import render_walkaround
 from tests.support.repository import ROOT
 
 PAGES = ("README.md", *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md"))), "deploy/runbook.md")
-CODES = {"STORAGE_FULL"}  # of errors, which are named like settings
+CODES = {"GATEWAY_STARTING", "STORAGE_FULL"}  # of errors, which are named like settings
 VARIABLE = re.compile(r"\b((?:EDGE|GATEWAY|STORAGE)_[A-Z][A-Z0-9_]*)\b")
 _ASSIGNMENT = re.compile(r"([A-Z_]+)=(.*)")
 

@@ -19,6 +19,7 @@ def test_what_is_written_is_what_is_parsed(numbers, rgb, normals, intensity, ran
     random.shuffle(parts)
     found = TableColumns.parse(", ".join(parts))
     assert found.used == tuple(at[name] - 1 for name in wanted)
+    assert TableColumns.parse(found.as_text) == found
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from capture2vr.edge.jobs.central_client import Central
 from capture2vr.edge.jobs.fit_job import FieldFitter
 from capture2vr.edge.jobs.job_process import JobProcesses
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
+from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.worker.control_group import own_control_group
 from capture2vr.edge.worker.guard import is_container_start, run_guarded
 from capture2vr.edge.worker.memory_budget import MemoryBudget, machine_bytes, machine_cores
@@ -70,7 +71,8 @@ def _start(*, out_of_memory: bool) -> int:
     memory = MemoryBudget(settings.memory or device.memory_bytes or machine_bytes())
     central = Central(settings.central, credentials=credentials) if settings.central else None
     room = Needs(machine_cores() / settings.slots, 1 / settings.slots, machine_bytes() // settings.slots)
-    fitter = FieldFitter(store, presets, device, memory, policy, encode, (settings.engine, room))
+    models = ModelFolder(settings.models, device.name) if settings.models else None
+    fitter = FieldFitter(store, presets, device, memory, policy, encode, (settings.engine, room), models)
     processes = JobProcesses(most_seconds=settings.job_s)
     work = Reconstructor(fitter, central, storage.collection, processes)
     work.warm_up()

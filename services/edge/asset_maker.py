@@ -6,15 +6,17 @@ from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from capture2vr.edge.arrays import DistanceFn, Floats, part_of
+from capture2vr.edge.arrays import DistanceFn, Floats, evenly, part_of
 from capture2vr.edge.asset.assemble import ColouredLevels, Edition, assemble_bundle, colour_levels
 from capture2vr.edge.asset.manifest import AssetSubject, MeasuredSurface
 from capture2vr.edge.asset.photo_check import (
+    PhotoCheck,
     check_surface_with_photos,
     drop_false_pieces,
     fill_gaps_with_photos,
     trim_rims_with_photos,
 )
+from capture2vr.edge.asset.turn_to_cameras import turn_to_cameras
 from capture2vr.edge.certificate import certify
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.job_resources import JobResources
@@ -27,10 +29,12 @@ from capture2vr.edge.mesh.pieces import Piece
 from capture2vr.edge.mesh.spacing import auto_resolution
 from capture2vr.edge.preset import Extraction
 from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.edge.render.place_views import in_unit_frame
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.bundle import Bundle, State
 
 _EXTRACT_SHARE = 0.4  # of the EXTRACTING stage's time is extraction, the rest is cleaning
+_ASKED = 20  # photos, evenly chosen, tell which side of a surface is its front
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,9 @@ class AssetMaker:
         mesh_unit = clean(raw, near, specks=specks, tick=part_of(tick, _EXTRACT_SHARE, 1))
         del raw
         _refuse_empty(mesh_unit, near, resolution)
+        mesh_unit = turn_to_cameras(
+            mesh_unit, in_unit_frame(evenly(subject.colours.texture_views, _ASKED), subject.unit)
+        )
         mesh_unit, pieces = drop_false_pieces(mesh_unit, subject.colours, subject.unit, specks)
         mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
         filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
@@ -83,7 +90,11 @@ class AssetMaker:
     ) -> MeasuredSurface:
         """Measure a surface, and compare it with photos, which tells whether a draft is held back."""
         certificate = certify(distance, filled.mesh, self.subject.evidence, pieces)
-        check = check_surface_with_photos(filled.mesh, self.subject.colours, self.subject.unit)
+        # A guess was made to look like its photo, which therefore says nothing about it: it has no grade.
+        guess = self.subject.source.kind == "image"
+        check = (
+            PhotoCheck() if guess else check_surface_with_photos(filled.mesh, self.subject.colours, self.subject.unit)
+        )
         return MeasuredSurface(filled, resolution, replace(certificate, photos=check.figures), check)
 
     def levels(

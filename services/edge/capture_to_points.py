@@ -18,14 +18,10 @@ from capture2vr.edge.fusion.coverage import unseen_sides
 from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
 from capture2vr.edge.fusion.fuse_scene import fuse_scene
 from capture2vr.edge.fusion.orbit import require_aim, sees_a_scene, sure_aim
-from capture2vr.edge.fusion.texture_views import (
-    hold_out_frames,
-    select_scene_views,
-    select_texture_views,
-    texture_view,
-)
+from capture2vr.edge.fusion.texture_views import hold_out_frames, select_scene_views, select_texture_views, texture_view
 from capture2vr.edge.marking.isolate_marked import isolate_marked, what_to_keep, with_marked_photo
 from capture2vr.edge.marking.marked_object import Mark
+from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.odometry.posed_frames import with_poses
 from capture2vr.edge.photos.depth_maps import at_texture_resolution
 from capture2vr.edge.photos.to_depth import to_depth
@@ -41,6 +37,7 @@ from capture2vr.edge.points.outliers import inliers
 from capture2vr.edge.points.scale import scale_to_longest
 from capture2vr.edge.points.upright import find_up
 from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.edge.single_photo.to_points import to_points as guess_points
 from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
 from capture2vr.order.option_table import Cut, Fill
 from capture2vr.order.photo_box import PhotoBox
@@ -101,11 +98,13 @@ def prepare(
     refines: bool,
     device: str = "cpu",
     hold_out: int | None = None,
+    models: ModelFolder | None = None,
 ) -> Generator[Progress, None, PreparedPoints]:
     """Make the points of a capture, and move `bar` to where fitting begins. Arguments and errors as of `reconstruct`.
 
     options  of the job; here count its cut, longest_m, box and edits
     refines  whether a training may follow the preview
+    models   learned models that may help
     """
     options = replace(options, box=with_marked_photo(capture, options.box))
     require_photos(capture, options.edits.lassos)
@@ -120,7 +119,7 @@ def prepare(
             source = replace(source, verdicts=capture.verdicts)
     yield bar.begin("POINT_CLOUD", say("reading_format", format=source.format))
     with clock("POINT_CLOUD"):
-        points = _points(capture, options, hold_out, bar)
+        points = _points(capture, options, hold_out, models, bar)
         if options.longest_m:  # it was measured before anything was cut away
             points = scale_to_longest(points, options.longest_m)
         points = cut_away(points, options.edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
@@ -139,11 +138,11 @@ def _at_texture_resolution(view: TextureView) -> TextureView:
     return replace(view, load_rgb=at_texture_resolution(view.load_rgb))
 
 
-def _points(capture: Capture, options: JobOptions, hold_out: int | None, bar: Bar) -> Points:
+def _points(
+    capture: Capture, options: JobOptions, hold_out: int | None, models: ModelFolder | None, bar: Bar
+) -> Points:
     if capture.kind == "image":
-        from capture2vr.edge.single_photo.to_points import to_points as guess_points  # loads torch
-
-        return guess_points(capture, box=options.box, tick=bar.tick("POINT_CLOUD"))
+        return guess_points(capture, box=options.box, models=models, tick=bar.tick("POINT_CLOUD"))
     cut, drawn = options.cut or "auto", options.edits.photos
     fill, tick = options.fill or "unseen", bar.tick("POINT_CLOUD")
     return to_points(capture, cut=cut, fill=fill, hold_out=hold_out, drawn=drawn, box=options.box, tick=tick)

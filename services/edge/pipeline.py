@@ -89,7 +89,15 @@ def reconstruct(
     require_encoder(target_of(options.target), has_encoder=resources.encode is not None)
     bar = Bar(watch)
     refines = preset.refines or preset.name == AUTOMATIC
-    prepared = yield from prepare(capture, bar, options, refines=refines, device=resources.device, hold_out=hold_out)
+    prepared = yield from prepare(
+        capture,
+        bar,
+        options,
+        refines=refines,
+        device=resources.device,
+        hold_out=hold_out,
+        models=resources.models,
+    )
     share = preview_share(prepared.source.kind)
     yield from bundles(prepared, preset, bar, options, resources, share=share)
 

@@ -34,6 +34,7 @@ from capture2vr.edge.recordings import (
     replica,
     rtabmap,
     scanner3d,
+    sog,
     stray,
     tum,
 )
@@ -42,6 +43,7 @@ from capture2vr.order.reading import AS_IT_SEEMS, FileReading
 from capture2vr.sentences.sentence import say
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
+    (sog.matches, sog.read),
     (record3d.matches, record3d.read),
     (record3d_exr.matches, record3d_exr.read),
     (stray.matches, stray.read),
@@ -69,6 +71,7 @@ _CLOUD_SUFFIXES = (
     ".e57",
     ".ptx",
     ".splat",
+    ".ksplat",
     ".spz",
     ".obj",
     ".off",
@@ -169,6 +172,8 @@ def _unused_photos(folder: Folder, model: str) -> list[str]:
     Textures are named in the model's materials or first lines, or are in a folder of textures; fewer than MIN_PHOTOS
     pictures are no capture.
     """
+    if len(pictures := photos.pictures(folder)) < MIN_PHOTOS:
+        return []
     texts = [
         _head(folder.path(name), _MATERIAL_BYTES)
         for name in folder.names
@@ -177,7 +182,7 @@ def _unused_photos(folder: Folder, model: str) -> list[str]:
     named = _Named(unquote(b"\n".join(texts).decode("utf-8", "replace")))
     found = [
         name
-        for name in photos.pictures(folder)
+        for name in pictures
         if posixpath.basename(name) not in named and not _TEXTURES.search(posixpath.dirname(name))
     ]
     return found if len(found) >= MIN_PHOTOS else []

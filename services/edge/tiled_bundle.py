@@ -16,6 +16,7 @@ from capture2vr.edge.asset.manifest import MeasuredSurface
 from capture2vr.edge.asset_maker import AssetMaker
 from capture2vr.edge.certificate import certify
 from capture2vr.edge.export.tileset import TILESET_FILE
+from capture2vr.edge.geodesy.place_on_earth import asset_to_earth
 from capture2vr.edge.mesh.fill_gaps import FilledMesh
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.points.nouns import UnitFrame
@@ -39,6 +40,7 @@ def tiled_bundle(
         folder = tiles_folder(checkpoint) if checkpoint else Path(kept.enter_context(TemporaryDirectory()))
         large = LargeScene(subject.colours, to_asset, subject.preset, subject.target)
         scene = yield from reconstruct_tiles(large, folder, maker.clock, maker.bar, resources)
+        scene = replace(scene, to_earth=asset_to_earth(subject.points.crs, subject.points.offset, to_asset))
         whole = _whole_scene(scene, to_asset, subject.unit)
         cells = round(float(np.ptp(scene.mesh.vertices, axis=0).max()) / scene.grid.cell)
         made = MeasuredSurface(FilledMesh.unfilled(whole), cells, certify(distance, whole, subject.evidence))

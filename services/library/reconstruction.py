@@ -36,7 +36,8 @@ class Reconstruction:
     certificate  quality figures of the mesh, such as `held_out_mean` and `stray_area` (docs/presets.md), in parts of
                  the capture's longest side; with a `verdict` where a refined mesh was compared with the preview
     warnings     sentences for people: photos left out, points dropped, an unknown scale
-    manifest     everything else that is known: size_m, scale_confidence, capture_to_asset (4,4) row by row, seconds
+    manifest     everything else that is known: size_m, scale_confidence, capture_to_asset (4,4) row by row, seconds,
+                 of a survey capture_offset and capture_crs
     files        all files by name: lod0.glb …, mesh.ply, preview.png, asset.usdz, …
     """
 

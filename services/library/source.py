@@ -62,7 +62,7 @@ def opened(source: Source, rgb: ArrayLike | None = None, reading: FileReading = 
     rgb  (N,3) colours of points in memory; reading: what is said of files. Raises BadInput, ArchiveError, CaptureError.
     """
     if isinstance(source, np.ndarray):
-        yield in_unit(capture_of_points(source, rgb), reading.unit)
+        yield in_unit(capture_of_points(source, rgb, unit=reading.unit), reading.unit)
         return
     if rgb is not None:
         raise BadInput("colours go with points in memory; the file or folder has its own: leave rgb out")

@@ -42,7 +42,9 @@ class TableColumns:
 
     xyz, rgb, normals  three columns each; () where there are none
     intensity          None where there is none
-    metres             length of the unit that the table's header names; None where it names none
+    metres             length of the unit that the table's header names, of heights alone where x and y are degrees;
+                       None where it names none
+    degrees            whether the header names x and y longitude and latitude
     """
 
     xyz: tuple[int, ...]
@@ -50,11 +52,19 @@ class TableColumns:
     normals: tuple[int, ...] = ()
     intensity: int | None = None
     metres: float | None = None
+    degrees: bool = False
 
     @property
     def used(self) -> tuple[int, ...]:
         """All of them, in the order xyz, rgb, normals, intensity."""
         return (*self.xyz, *self.rgb, *self.normals, *(() if self.intensity is None else (self.intensity,)))
+
+    @property
+    def as_text(self) -> str:
+        """The columns as `parse` reads them."""
+        triples = (self.xyz, self.rgb, self.normals, () if self.intensity is None else (self.intensity,))
+        named = (pair for pairs in map(zip, (*_TRIPLES, ("i",)), triples) for pair in pairs)
+        return ",".join(f"{name}={number + 1}" for name, number in named)
 
     @classmethod
     def parse(cls, text: str) -> TableColumns:

@@ -127,16 +127,27 @@ def certificate_host(cert: bytes) -> str:
     return str(next((name.value for name in names if isinstance(name, x509.DNSName | x509.IPAddress)), "localhost"))
 
 
-def _check_token(token: str, token_variable: str, tls_variable: str, *, has_tls: bool) -> None:
-    """Raise SettingsError for a token that is too short, without TLS, or not printable ASCII (it goes in a header)."""
-    if not token:
-        return
-    if len(token) < TOKEN_CHARS or not (token.isascii() and token.isprintable()) or " " in token:
+def first_expiry(certificates: bytes) -> float:
+    """Return when the first of these PEM certificates expires, in seconds since the epoch."""
+    from cryptography import x509
+
+    found = x509.load_pem_x509_certificates(certificates)
+    return min(certificate.not_valid_after_utc for certificate in found).timestamp()
+
+
+def check_token(token: str, variable: str) -> None:
+    """Raise SettingsError for a token that is too short, or not printable ASCII (it goes in a header); "" is fine."""
+    if token and (len(token) < TOKEN_CHARS or not (token.isascii() and token.isprintable()) or " " in token):
         raise SettingsError(
-            f"{token_variable}: use at least {TOKEN_CHARS} ASCII letters, digits or signs without spaces; "
+            f"{variable}: use at least {TOKEN_CHARS} ASCII letters, digits or signs without spaces; "
             f"`openssl rand -hex 32` makes a good one"
         )
-    if not has_tls:
+
+
+def _check_token(token: str, token_variable: str, tls_variable: str, *, has_tls: bool) -> None:
+    """Raise SettingsError for a token that cannot be used, or has no TLS."""
+    check_token(token, token_variable)
+    if token and not has_tls:
         raise SettingsError(
             f"{token_variable} needs {tls_variable}: without TLS others on the network could read the token"
         )

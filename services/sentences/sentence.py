@@ -67,6 +67,12 @@ def say(code: str, /, **values: object) -> Sentence:
     return Sentence(english()[code].format(**kept), code, kept)
 
 
+def with_values(text: str, values: Mapping[str, Any]) -> str:
+    """Give a sentence values that its text does not show, for a page that shows them beside it: JSON's own types but
+    for objects."""
+    return Sentence(text, text.code, {**text.values, **values}) if isinstance(text, Sentence) else text
+
+
 def in_row(joint: str, parts: Iterable[str]) -> Sentence:
     """Join sentences and names to one text, as `joint.join` does; each keeps its code."""
     all_parts = [_plain(part) for part in parts]

@@ -19,6 +19,7 @@ BENCHES = {
     "captures": "captures to assets beside held-out photos: holes, leaks, likeness, seconds",
     "rendered": "photos rendered of what is hard to capture, beside the true surface: depth by luma, openings",
     "texture": "seconds and CPU seconds of each level's texture, held-out likeness; --old COMMIT beside it",
+    "masks": "the cut-out of one photo before busy backgrounds: automatic, by a tap, by a rectangle",
     "single-image": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
     "delivery": "what reaches a headset: bytes, seconds on the wire and to import, errors of the levels of detail",
     "pipeline": "capture to published LOD set: seconds per stage and peak memory",
@@ -27,7 +28,9 @@ BENCHES = {
     "lighthouse": "Lighthouse on its emulated phone: accessibility and speed of capture, collection and viewer",
     "phone": "photos of a phone through gateway and worker: seconds to the preview and to the end",
     "service": "many people on one service: what keys cost, 10,000 tenants, turns in the queue, kills",
+    "catalogue": "a publication and a look in collections of 100 to 1,000,000 assets; 32 publishers at once",
     "dispatch": "10,000 queued jobs, 4 gateways, 50 pretend workers, one Postgres: no job twice, milliseconds, CPU",
+    "jobs": "millions of jobs in one database: milliseconds of the metrics, the queue's figures, a new job",
     "trace": "one capture's trace over gateway and worker, drawn as a waterfall: where the seconds of a job go",
     "engine": "16 jobs on a real Ray cluster of 1, 2 and 4 nodes: seconds, share of k times one node",
     "fuzz": "hostile files of every format: answers, CPU seconds, memory, what is left; resumable",
@@ -37,7 +40,13 @@ BENCHES = {
 ON_DEMAND = {
     "splats": "Gaussian splats beside the mesh that they cover: likeness to held-out photos, bytes",
     "formats": "which programs read what is downloaded: Blender, Godot, Babylon.js, glTF-Transform, usd-core, trimesh",
+    "odd": "valid but odd files that mean what is known: right, wrong, refused, crashed; --siblings of misread ones",
+    "models": "learned models (--folder DIR): masks beside ours, seconds, memory; --settings FILE...: of ONNX Runtime",
+    "search-index": "search in a collection of a million assets by its index: seconds, MB, milliseconds",
+    "unity-runtime": "Unity's own Addressables, where you have it, on 10,000 assets: ms, requests, bytes of each step",
     "readers": "public test files of other projects: read as others read them, refused by name, crashed",
+    "soak": "hours of 50 publishers at once on a service that is killed in parts every minute; FOLDER, resumable",
+    "large-files": "tables, LAS, PLY, glTF of millions of points: CPU seconds and memory; --old COMMIT beside it",
     "scenes": "flats of 1 to 64 million points by tiles: time over area, memory, distance from the truth; resumable",
     "walkthrough": "a new user's way on a phone-sized page, each step with its picture",
     "rgbd-walk": "RGB-D walks of 500 and 2,000 frames through a flat: time, memory, distance; --track: drift",
@@ -65,7 +74,20 @@ _MODULES = {
     **{name: (f"browser.{name}", False) for name in ("lighthouse", "visit", "walk", "walkthrough")},
     **{
         name: (f"load.{name}", False)
-        for name in ("attack", "dispatch", "engine", "fleet", "fuzz", "service", "streams", "trace", "uploads")
+        for name in (
+            "attack",
+            "catalogue",
+            "dispatch",
+            "engine",
+            "fleet",
+            "fuzz",
+            "jobs",
+            "service",
+            "soak",
+            "streams",
+            "trace",
+            "uploads",
+        )
     },
     **{name: (f"paper.{name}", False) for name in ("ablation", "complexity", "tables")},
     **dict.fromkeys(("table2", "table3", "table4"), ("paper.paper_tables", True)),
@@ -73,8 +95,12 @@ _MODULES = {
     **dict.fromkeys(("table6", "table7"), ("paper.paper_delivery", True)),
     **dict.fromkeys(("figure5", "figure6", "figure7", "figure9"), ("paper.paper_figures", True)),
     "figure8": ("paper.frame_times", False),
+    "models": ("peers.models", False),
+    "masks": ("single_photo.masks", False),
+    "single-image": ("single_photo.single_image", False),
     "peer-extraction": ("peers.peer_extraction", False),
     "peer-fields": ("peers.peer_fields", False),
+    "unity-runtime": ("load.unity_runtime", False),
 }
 
 

@@ -49,6 +49,7 @@ from capture2vr.storage.bundle import Bundle
 from tests.bench.borne_out import likeness_of_patches
 from tests.bench.cell import ROOT
 from tests.bench.data_files import data_file
+from tests.bench.outlines import depths_under, votes_of_outlines
 from tests.bench.photo_sets import (
     PhotoSet,
     exposure_steps,
@@ -315,9 +316,9 @@ def _shares_of_points(row: Row, bundle: Bundle, frames: Sequence[Frame]) -> dict
     once more, because a few cameras' centres do not tell how the things lie to within half a percent.
     """
     titles = [f"reference within {100 * within:g} %" for within in _WITHIN]
-    borne_out = "borne out"
+    borne_out, outlines = "borne out", "deeper, by outlines"
     if row.points is None or row.known is None:
-        return dict.fromkeys([*titles, borne_out])
+        return dict.fromkeys([*titles, borne_out, outlines])
     ours = np.stack([frame.camera_to_world[:3, 3] for frame in frames])
     theirs = np.stack([row.known.camera(frame.name)[:3, 3] for frame in frames])
     laid, _, _ = trimesh.registration.procrustes(theirs, ours, reflection=False)
@@ -337,7 +338,7 @@ def _shares_of_points(row: Row, bundle: Bundle, frames: Sequence[Frame]) -> dict
         title: percent(float((gap < within * size).mean())) for title, within in zip(titles, _WITHIN, strict=True)
     }
     if normals is None:
-        return {**shares, borne_out: None}
+        return {**shares, borne_out: None, outlines: None}
     apart = np.flatnonzero((gap > _BORNE_OUT * size) & (gap < _BESIDE * size))
     pictures = [posed_picture(texture_view(frame), np.eye(4)) for frame in frames]
     scene = RaycastingScene(mesh)
@@ -346,7 +347,13 @@ def _shares_of_points(row: Row, bundle: Bundle, frames: Sequence[Frame]) -> dict
     facing *= np.sign(np.einsum("nx,nx->n", facing, normals[apart]))[:, None]
     ours_alike = likeness_of_patches(made.xyz[nearest[apart]], facing, pictures, scene)
     refuted = ours_alike > theirs_alike + _CLEARER  # False where either is unknown
-    return {**shares, borne_out: percent(float((gap < _BORNE_OUT * size).sum() / (len(gap) - refuted.sum())))}
+    depth = depths_under(mesh, points, normals, size)
+    ours_there, background = votes_of_outlines(mesh, np.where(depth > _BORNE_OUT * size, depth, 0), pictures)
+    return {
+        **shares,
+        borne_out: percent(float((gap < _BORNE_OUT * size).sum() / (len(gap) - refuted.sum()))),
+        outlines: percent(ours_there / max(ours_there + background, 1)),
+    }
 
 
 def main(arguments: list[str]) -> None:

@@ -26,8 +26,6 @@ OF_ENGINEERS = {  # said on a command line, to a program, or in a log alone
     "edge/jobs/archived_arrays.py",
     "edge/jobs/available_presets.py",
     "edge/preset.py",
-    "edge/single_photo/weights.py",
-    "edge/single_photo_training",
     "gateway/resumable/protocol.py",
     "gateway/routes/health.py",
     "gateway/routes/webhooks.py",

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from threading import Lock
 
 from capture2vr.storage.bundle import Bundle, State
-from capture2vr.storage.catalogue.collection import Row, index_name, load_shard, read_index
+from capture2vr.storage.catalogue.collection import Row, load_shard
+from capture2vr.storage.catalogue.reader import parts_on, read_root
 from capture2vr.storage.catalogue.signing import PublicKey
+from capture2vr.storage.catalogue.tree import shards_of
 from capture2vr.storage.store import IMMUTABLE, Head, Store
 
 
@@ -22,10 +25,10 @@ def bundle(state: State = "preview", content: str = "a", **manifest: object) -> 
 
 
 def listed(store: Store, collection: str = "default", believed: tuple[PublicKey, ...] = ()) -> dict[str, Row]:
-    """The rows of a collection by key, each shard as the index says and in order."""
-    index = read_index(store.get(index_name(collection)), collection, believed)
+    """The rows of a collection by key, each shard as what lists it says and in order."""
+    index = read_root(store, collection, believed)
     rows: list[Row] = []
-    for shard in index.shards:
+    for shard in shards_of(index, parts_on(store, collection).nodes):
         part = load_shard(store, shard)
         assert (len(part), part[0].key, part[-1].key) == (shard.count, shard.first, shard.last)
         assert store.head(shard.name).size == shard.bytes
@@ -45,6 +48,7 @@ class CrashingStore:
         self._inner = inner
         self._left = at
         self._after = after
+        self._counts = Lock()
 
     def put(
         self,
@@ -57,8 +61,10 @@ class CrashingStore:
         if_absent: bool = False,
         link: bool = False,
     ) -> Head:
-        self._left -= 1
-        if self._left == 0 and not self._after:
+        with self._counts:
+            self._left -= 1
+            left = self._left
+        if left == 0 and not self._after:
             raise Crash(name)
         head = self._inner.put(
             name,
@@ -69,7 +75,7 @@ class CrashingStore:
             if_absent=if_absent,
             link=link,
         )
-        if self._left == 0:
+        if left == 0:
             raise Crash(name)
         return head
 

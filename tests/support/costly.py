@@ -149,7 +149,6 @@ REFUSED: dict[str, tuple[Callable[[], Files], str]] = {
     ),
     "a PLY of many elements": (lambda: _ply(b"element vertex 0\nproperty float x\n" * 101), "a.ply"),
     "a PLY of many properties": (lambda: _ply(b"property float p\n" * 1_001), "a.ply"),
-    "an STL of many solids": (lambda: solids(1_001), "a.stl"),
     "a list that names one depth image again and again": (lambda: _same_depth(20_001), "depth"),
 }
 
@@ -229,4 +228,5 @@ LINEAR: dict[str, tuple[Make, int]] = {
     "pictures beside a model": (_pictures_beside, 100),
     "a .r3d of many frames": (_r3d, 100),
     "a GLB of views of the same bytes": (views, 200),
+    "an STL of many solids": (solids, 2_000),
 }

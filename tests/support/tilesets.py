@@ -77,13 +77,14 @@ def hill_bundle(
     size_m: float = 12.0,
     cells: int = CELLS,
     dress: Callable[[Mesh], Mesh | TexturedMesh] = lambda mesh: mesh,
+    to_earth: Floats | None = None,
 ) -> tuple[Bundle, TilesetNode]:
-    """A bundle of hills in tiles, with the usual levels of detail of the whole, and its tree."""
+    """A bundle of hills in tiles, with the usual levels of detail of the whole, and its tree; perhaps of a survey."""
     low = np.full(2, -size_m / 2)
     files: dict[str, bytes] = {}
     root = hill_tree(files, levels, low, size_m, cells, dress)
     tiles = len(files)
-    files[TILESET_FILE] = tileset_json(root)
+    files[TILESET_FILE] = tileset_json(root, to_earth)
     lods = []
     for level, coarse in enumerate((24, 12, 6)):
         mesh = hill_tile(low, size_m, coarse)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Info, ProcessCollector, start_http_server
@@ -38,6 +38,17 @@ class WorkerMetrics:
         self._draining = Gauge("capture2vr_worker_draining", "1 after SIGTERM: no jobs are taken", registry=registry)
         budget = Gauge("capture2vr_worker_memory_budget_bytes", "Memory of all fits together", registry=registry)
         budget.set(memory_bytes)
+        self._expiries = Gauge(
+            "capture2vr_certificate_expires_seconds",
+            "When the first certificate in a file expires, since 1970",
+            ["file"],
+            registry=registry,
+        )
+
+    def show_expiries(self, expiries: Mapping[str, float]) -> None:
+        """Show when certificates expire, in seconds since the epoch, by the settings that name their files."""
+        for file, expires in expiries.items():
+            self._expiries.labels(file).set(expires)
 
     def observe_end(self, ending: Ending) -> None:
         """Count a run that has ended, and record the seconds of its stages."""

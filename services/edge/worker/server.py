@@ -25,7 +25,7 @@ from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedErr
 from capture2vr.edge.worker.job_run import Work
 from capture2vr.edge.worker.metrics import WorkerMetrics
 from capture2vr.edge.worker.scratch import Scratch
-from capture2vr.edge.worker.settings import EdgeSettings, refuse_without_token, server_security
+from capture2vr.edge.worker.settings import EdgeSettings, certificate_expiries, refuse_without_token, server_security
 from capture2vr.edge.worker.upload import first_header
 from capture2vr.process.grpc_security import ServerSecurity
 from capture2vr.process.strict_settings import SettingsError
@@ -196,6 +196,7 @@ class EdgeServer:
         self._runs = JobQueue(work, scratch, self.metrics, slots=settings.slots, queue=settings.queue)
         refuse_without_token(settings)
         self._security = server_security(settings)
+        self.metrics.show_expiries(certificate_expiries(settings))
         interceptors = [TokenAuthentication(self._security.token)] if self._security.token else []
         self._server = grpc.aio.server(interceptors=interceptors, options=OPTIONS)
         self._health = health.aio.HealthServicer()

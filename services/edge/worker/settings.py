@@ -13,6 +13,7 @@ from capture2vr.edge.engine.address import check_engine
 from capture2vr.process.grpc_security import (
     ClientCredentials,
     ServerSecurity,
+    first_expiry,
     read_client_credentials,
     read_server_security,
 )
@@ -47,6 +48,7 @@ class EdgeSettings(StrictSettings):
     )
     presets: Path | None = Field(None, description="Folder of TOML files: the operator's presets beside the product's.")
     ktx2: Path | None = Field(None, description="Folder with npm's ktx2-encoder; none: targets with -ktx2 are refused.")
+    models: Path | None = Field(None, description="Folder of learned models (`capture2vr models`); none: none is used.")
     engine: str = Field("local", description="Where tasks run that are many: local, or a Ray cluster, ray://host:port.")
     central: str = Field("", description="host:port of a worker that fits the fields; empty: they are fitted here.")
     tls_cert: Path | None = Field(None, description="The worker's certificate (PEM, with its chain); none: no TLS.")
@@ -113,3 +115,12 @@ def central_credentials(settings: EdgeSettings) -> ClientCredentials:
     """Read central's CA certificates and token. Raises SettingsError naming the variable and the file at fault."""
     names = ("EDGE_CENTRAL_CA", "EDGE_CENTRAL_TOKEN")
     return read_client_credentials(settings.central_ca, settings.central_token.get_secret_value(), names=names)
+
+
+def certificate_expiries(settings: EdgeSettings) -> dict[str, float]:
+    """Return when the first certificate of each file expires (seconds since the epoch), by the setting that names it.
+
+    Raises SettingsError for a file that cannot be used.
+    """
+    files = {"EDGE_TLS_CERT": server_security(settings).cert, "EDGE_CENTRAL_CA": central_credentials(settings).ca}
+    return {name: first_expiry(content) for name, content in files.items() if content}

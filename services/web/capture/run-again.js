@@ -5,7 +5,9 @@ import { create, element } from '../shared/dom.js';
 import { stored } from '../shared/stored-sentences.js';
 import { t } from '../shared/texts.js';
 
-/** @import { CaptureSummary, Cut, Job, Question } from '../shared/types.d.ts' */
+/** @import { CaptureSummary, Cut, Job, Question, SentenceCode } from '../shared/types.d.ts' */
+
+/** @typedef {{ taken: Record<string, number>, numbers: number[], rows: string[][] }} TableHead numbers from 1 */
 
 const page = {
   section: element('other-cut', HTMLElement),
@@ -26,6 +28,7 @@ const CUTS = [
 ];
 
 const AXES = ['x', 'y', 'z'];
+const BESIDE = [['r', 'g', 'b'], ['nx', 'ny', 'nz'], ['i']];
 
 /** @type {() => void} */
 let recut = () => {};
@@ -62,12 +65,12 @@ export function showQuestions(job) {
  * @param {Job} job
  * @param {Question} question
  */
-function questionBox(job, { text, answers }) {
+function questionBox(job, { text, text_i18n, answers }) {
   const box = create('div', {});
   box.append(create('p', { textContent: text }));
   for (const answer of answers) {
     const button = create('button', { type: 'button', textContent: answer.text });
-    if (answer.options.columns === '') box.append(columnsPicker(job, button));
+    if (answer.options.columns === '') box.append(...columnsPicker(job, button, tableOf(text_i18n)));
     else button.addEventListener('click', () => repeatJob(job, answer.options, button));
     box.append(button);
   }
@@ -75,25 +78,100 @@ function questionBox(job, { text, answers }) {
 }
 
 /**
- * Three numbers of columns, which the button sends.
+ * The first rows of the table that a question is about, and what each column was taken for; empty where it tells none.
+ * @param {SentenceCode} [coded]
+ * @returns {TableHead}
+ */
+function tableOf(coded) {
+  const { columns = '', numbers = [], rows = [] } = coded?.values ?? {};
+  const pairs = String(columns).split(',').filter(Boolean);
+  return {
+    taken: Object.fromEntries(pairs.map((pair) => [pair.split('=')[0], Number(pair.split('=')[1])])),
+    numbers: Array.isArray(numbers) ? numbers.map(Number) : [],
+    rows: Array.isArray(rows) ? rows.filter(Array.isArray).map((row) => row.map(String)) : [],
+  };
+}
+
+/**
+ * The table's first rows, and three numbers of columns, which the button sends. What they say is marked in the rows.
  * @param {Job} job
  * @param {HTMLButtonElement} button
+ * @param {TableHead} table
  */
-function columnsPicker(job, button) {
-  const fields = AXES.map((_, number) =>
-    create('input', { type: 'number', min: '1', max: '9999', required: true, value: String(number + 2) }),
+function columnsPicker(job, button, table) {
+  const fields = AXES.map((axis, place) =>
+    create('input', {
+      type: 'number',
+      min: '1',
+      max: '9999',
+      required: true,
+      value: String(table.taken[axis] ?? place + 2),
+    }),
   );
+  const shown = create('div', { className: 'table-head', tabIndex: 0, role: 'region' });
+  shown.ariaLabel = t('The first rows of the table');
+  const chosen = () => columnsOf(fields, table.taken);
+  const show = () => shown.replaceChildren(tableHead(table, chosen()));
   button.addEventListener('click', () => {
-    const columns = AXES.map((axis, number) => `${axis}=${fields[number].value}`).join(',');
-    if (fields.every((field) => field.reportValidity())) repeatJob(job, { columns }, button);
+    const columns = Object.entries(chosen()).map(([name, number]) => `${name}=${number}`);
+    if (fields.every((field) => field.reportValidity())) repeatJob(job, { columns: columns.join(',') }, button);
   });
-  const picker = create('div');
-  fields.forEach((field, number) => {
-    const label = create('label', { textContent: t('Column of {axis}', { axis: AXES[number] }) });
+  const picker = create('div', { className: 'columns' });
+  fields.forEach((field, place) => {
+    const label = create('label', { textContent: t('Column of {axis}', { axis: AXES[place] }) });
     label.append(field);
     picker.append(label);
+    field.addEventListener('input', show);
   });
-  return picker;
+  show();
+  return table.rows.length ? [shown, picker] : [picker];
+}
+
+/**
+ * The columns by what they are: those of the fields, and colours, normals and intensity as taken where no field has them.
+ * @param {HTMLInputElement[]} fields
+ * @param {Record<string, number>} taken
+ * @returns {Record<string, number>}
+ */
+function columnsOf(fields, taken) {
+  const numbers = fields.map((field) => Number(field.value));
+  const others = BESIDE.filter((names) => names.every((name) => name in taken && !numbers.includes(taken[name])));
+  return Object.fromEntries([
+    ...AXES.map((axis, place) => [axis, numbers[place]]),
+    ...others.flat().map((name) => [name, taken[name]]),
+  ]);
+}
+
+/**
+ * @param {TableHead} table
+ * @param {Record<string, number>} columns
+ */
+function tableHead({ numbers, rows }, columns) {
+  const names = numbers.map((number) => Object.keys(columns).filter((name) => columns[name] === number));
+  const head = create('tr');
+  numbers.forEach((number, place) => {
+    const cell = marked(create('th', { scope: 'col', textContent: String(number) }), names[place]);
+    cell.append(create('b', { textContent: names[place].join(' ') }));
+    head.append(cell);
+  });
+  const body = rows.map((row) => {
+    const line = create('tr');
+    line.append(...row.map((cell, place) => marked(create('td', { textContent: cell }), names[place] ?? [])));
+    return line;
+  });
+  const table = create('table');
+  table.append(head, ...body);
+  return table;
+}
+
+/**
+ * @template {HTMLElement} E
+ * @param {E} cell
+ * @param {string[]} names of what its column is
+ */
+function marked(cell, names) {
+  if (names.length) cell.dataset.is = names[0];
+  return cell;
 }
 
 /**

@@ -5,6 +5,7 @@ import { offerManaging, showManaging } from './manage.js';
 import { listScenes } from './scenes.js';
 import { PER_PAGE, search } from './search.js';
 import { summarize } from './summary.js';
+import { cutText } from '../catalogue/collection-rows.js';
 import { hangingOf } from '../catalogue/garments.js';
 import { withNewest } from '../catalogue/signed-catalogue.js';
 import { showAccount } from '../shared/account.js';
@@ -76,7 +77,7 @@ async function show() {
 }
 
 /** @param {SearchResult} result */
-function showResult({ rows, count, exact, collection }) {
+function showResult({ rows, count, exact, isCut, collection }) {
   if (rows.length === 0 && pageNumber > 1) {
     goToPage(Math.max(1, Math.ceil(count / PER_PAGE))); // this page is gone, or never was: assets were removed
     return;
@@ -94,15 +95,11 @@ function showResult({ rows, count, exact, collection }) {
   page.grid.append(...cards.keys());
   if (rows.some(hangingOf)) page.wardrobe.hidden = false;
   for (const item of cards.keys()) visibility.observe(item);
-  const size = collection.shards.reduce((sum, shard) => sum + shard.count, 0);
-  page.summary.textContent = [
-    notice,
-    summarize(count, exact, size, { words: query, state: readFilters().state, limited: isLimited() }),
-  ]
-    .filter(Boolean)
-    .join(' ');
+  const asked = { words: query, state: readFilters().state, limited: isLimited() };
+  const found = summarize(count, exact, collection.count, asked);
+  page.summary.textContent = [notice, isCut ? `${found} · ${cutText()}` : found].filter(Boolean).join(' ');
   notice = '';
-  showPageNumber(exact ? Math.ceil(count / PER_PAGE) : null);
+  showPageNumber(exact || isCut ? Math.ceil(count / PER_PAGE) : null);
   shownVersion = collection.version;
   document.body.dataset.state = 'shown';
   document.body.dataset.version = String(shownVersion);

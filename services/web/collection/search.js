@@ -1,15 +1,17 @@
 // Search in a collection: the assets of a state, date and size whose name, key or labels contain all words, in an order, a page at a time.
-import { loadRows } from '../catalogue/signed-catalogue.js';
+import { MOST_ROWS, loadFirstRows, loadRows, walkRows } from '../catalogue/collection-rows.js';
 import { simplify } from '../shared/search-words.js';
 
-/** @import { Collection, CollectionRow, Shard } from '../shared/types.d.ts' */
+/** @import { CataloguePart, Collection, CollectionRow } from '../shared/types.d.ts' */
 
 /**
- * A page of the assets that match. `count`: how many match in all; where not `exact`, at least so many.
+ * A page of the assets that match. `count`: how many match in all; where not `exact`, at least so many. `isCut`: of a large collection
+ * only the first assets were looked through, and `count` of those match.
  * @typedef {object} SearchResult
  * @property {CollectionRow[]} rows
  * @property {number} count
  * @property {boolean} exact
+ * @property {boolean} isCut
  * @property {Collection} collection
  */
 
@@ -59,11 +61,10 @@ export async function search(collection, query, pageNumber) {
  */
 async function searchAll(collection, query, pageNumber) {
   const matches = matcherFor(query);
-  const found = [];
-  for (const shard of collection.shards) found.push(...(await rowsOf(collection, shard)).filter(matches));
-  found.sort(ORDERS[query.order]);
+  const { rows, isCut } = await loadFirstRows(collection, rowsOf);
+  const found = rows.filter(matches).sort(ORDERS[query.order]);
   const end = pageNumber * PER_PAGE;
-  return { rows: found.slice(end - PER_PAGE, end), count: found.length, exact: true, collection };
+  return { rows: found.slice(end - PER_PAGE, end), count: found.length, exact: !isCut, isCut, collection };
 }
 
 /**
@@ -78,30 +79,34 @@ async function searchByKey(collection, query, pageNumber) {
   /** @type {CollectionRow[]} */
   const rows = [];
   let count = 0;
-  let exact = true;
-  for (const shard of collection.shards) {
-    if (count > end) {
-      exact = false; // enough for this page, and to know that another one follows
-      break;
-    }
-    for (const row of (await rowsOf(collection, shard)).filter(matches)) {
+  let seen = 0;
+  for await (const some of walkRows(collection, rowsOf)) {
+    seen += some.length;
+    for (const row of some.filter(matches)) {
       count += 1;
       if (count > end - PER_PAGE && count <= end) rows.push(row);
     }
+    const isFull = count > end; // enough for this page, and to know that another one follows
+    if (!isFull && seen < MOST_ROWS) continue;
+    const exact = seen >= collection.count;
+    return { rows, count, exact, isCut: !exact && !isFull, collection };
   }
-  return { rows, count, exact, collection };
+  return { rows, count, exact: true, isCut: false, collection };
 }
 
 /**
- * Loads the rows of a shard, or takes them from memory. Forgets those of shards that the collection no longer has.
+ * Loads the rows of a shard, or takes them from memory, where those of one large search and of another one stay.
  * @param {Collection} collection
- * @param {Shard} shard
+ * @param {CataloguePart} shard
  */
 async function rowsOf(collection, shard) {
   const rows = rowCache.get(shard.sha256) ?? (await loadRows(collection, shard));
   rowCache.set(shard.sha256, rows);
-  for (const sha256 of rowCache.keys()) {
-    if (!collection.shards.some((each) => each.sha256 === sha256)) rowCache.delete(sha256);
+  let held = [...rowCache.values()].reduce((sum, each) => sum + each.length, 0);
+  for (const [oldest, { length }] of rowCache) {
+    if (held <= 2 * MOST_ROWS) break;
+    rowCache.delete(oldest);
+    held -= length;
   }
   return rows;
 }

@@ -38,16 +38,29 @@ export class ThingSearch {
     const mine = ++this.#asked;
     const what = JSON.stringify([collection, words]);
     if (what !== this.#what) [this.#what, this.#pages, this.#following] = [what, FIRST, null]; // whether or not it is found
-    const query = new URLSearchParams({ label: words, after: pages.at(-1) ?? '', limit: String(PER_PAGE) });
     try {
-      /** @type {FoundAssets} */
-      const { assets, next } = await getJson(`/v1/collections/${encodeURIComponent(collection)}/assets?${query}`);
+      let found = await getPage(collection, words, pages.at(-1) ?? '');
+      while (mine === this.#asked && found.assets.length === 0 && found.next !== null) {
+        found = await getPage(collection, words, found.next);
+      } // what is being indexed has pages with nothing on them
       if (mine !== this.#asked) return null;
-      [this.#pages, this.#following] = [pages, next];
-      return assets;
+      [this.#pages, this.#following] = [pages, found.next];
+      return found.assets;
     } catch (error) {
       if (mine !== this.#asked) return null;
       throw error;
     }
   }
+}
+
+/**
+ * @param {string} collection
+ * @param {string} words
+ * @param {string} after
+ * @returns {Promise<FoundAssets>}
+ * @throws {Problem} as `getJson`
+ */
+function getPage(collection, words, after) {
+  const query = new URLSearchParams({ label: words, after, limit: String(PER_PAGE) });
+  return getJson(`/v1/collections/${encodeURIComponent(collection)}/assets?${query}`);
 }

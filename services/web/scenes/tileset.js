@@ -135,7 +135,7 @@ export class Tileset {
     const file = this.#files.get(baseName(url));
     if (!file) throw new Error(`The catalogue has no file ${baseName(url)}.`);
     const bytes = await loadFile(file);
-    return file.file.endsWith('.json') ? JSON.parse(new TextDecoder().decode(bytes)) : bytes;
+    return file.file.endsWith('.json') ? inAssetFrame(JSON.parse(new TextDecoder().decode(bytes))) : bytes;
   }
 
   /**
@@ -157,6 +157,15 @@ export class Tileset {
     this.#unrefined.clear();
     this.#tiles.resetFailedTiles();
   }
+}
+
+/**
+ * Takes the place on earth out of a tileset.json: the tiles of a survey lie in the asset's frame, as all else here.
+ * @param {{ root: { transform?: number[] } }} document
+ */
+function inAssetFrame(document) {
+  delete document.root.transform;
+  return document;
 }
 
 /**

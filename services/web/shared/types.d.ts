@@ -357,26 +357,37 @@ export interface SignedEnvelope {
   base: string;
 }
 
-/** A part of a collection, with the keys `first` to `last`. */
-export interface Shard {
+/** A shard of a collection, or a node with further parts: `count` rows, with keys from `first` on. `name`: of its object. */
+export interface CataloguePart {
   name: string;
   sha256: string;
+  bytes: number;
   count: number;
   first: string;
-  last: string;
 }
 
-export interface CollectionIndex {
+/** What is signed: a tree, whose `children` are shards where its `depth` is 0; without `children` all shards are listed. */
+export interface CollectionIndex extends Partial<NodeDocument> {
   collection: string;
   version: number;
-  shards: Shard[];
+  depth?: number;
+  count?: number;
+  shards?: Record<string, unknown>[];
 }
 
-/** A collection as the pages use it. `base`: the address below which all of its objects are. */
+/** A node's file: a row for each child. A child's `sha256` is in base64url without padding. */
+export interface NodeDocument {
+  columns: string[];
+  children: unknown[][];
+}
+
+/** A collection as the pages use it. `base`: the address below which all of its objects are; `count`: of its rows. */
 export interface Collection {
   name: string;
   version: number;
-  shards: Shard[];
+  parts: CataloguePart[];
+  depth: number;
+  count: number;
   base: string;
 }
 
@@ -479,6 +490,7 @@ export interface PublishedVersion {
 export interface Question {
   code: string;
   text: string;
+  text_i18n?: SentenceCode;
   answers: { text: string; options: Record<string, string> }[];
 }
 

@@ -163,7 +163,7 @@ function originLines(
 function captureText({ kind, format, frames, photos = [] }) {
   const unused = photos.filter(({ verdict }) => verdict !== 'ok').length;
   if (kind === 'image') {
-    return t('Guessed from one photo: what the photo does not show looks as objects of its kind do.');
+    return t('Guessed from one photo: its outline was inflated, and the photo printed on it.');
   }
   if (kind === 'points') return t('Made from a scan ({format}).', { format: format ?? '' });
   if (!frames) return '';

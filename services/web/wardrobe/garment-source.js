@@ -1,21 +1,16 @@
 // Where the wardrobe's garments come from: the signed collection, and their files, loaded ahead.
-import { loadRows, withNewest } from '../catalogue/signed-catalogue.js';
+import { loadFirstRows } from '../catalogue/collection-rows.js';
+import { withNewest } from '../catalogue/signed-catalogue.js';
 import { loadFile } from '../catalogue/verified-cache.js';
 import { nextEntry } from '../scenes/page-address.js';
 
-/** @import { CollectionRow } from '../shared/types.d.ts' */
-
 /**
- * Loads all rows of a collection.
- * @param {string} collection
- * @returns {Promise<CollectionRow[]>}
- * @throws {Problem} as `loadCollection` and `loadRows`
+ * Loads the rows of a collection, the first ones where there are very many.
+ * @param {string} name
+ * @returns {ReturnType<typeof loadFirstRows>}
+ * @throws {Problem} as `loadCollection` and `loadFirstRows`
  */
-export function loadAllRows(collection) {
-  return withNewest(collection, async (index) =>
-    (await Promise.all(index.shards.map((shard) => loadRows(index, shard)))).flat(),
-  );
-}
+export const loadGarmentRows = (name) => withNewest(name, (collection) => loadFirstRows(collection));
 
 /**
  * Loads the coarsest level of an asset onto this device, so that it is there at once when it is to be shown. What does not come is said then.

@@ -1,10 +1,11 @@
 // The wardrobe (/wardrobe/{collection}): the garments of a season, one after the other, on a dress dummy.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { dress } from './dressing.js';
-import { loadAllRows, preload } from './garment-source.js';
+import { loadGarmentRows, preload } from './garment-source.js';
 import { WardrobeBoard } from './wardrobe-board.js';
 import { addressOf, choiceIn, emptyText, secondsIn } from './wardrobe-choice.js';
 import { WardrobePanel } from './wardrobe-panel.js';
+import { cutText } from '../catalogue/collection-rows.js';
 import { chooseGarments, hangingOf, otherLabels } from '../catalogue/garments.js';
 import { BARE, DressDummy } from '../graphics/dress-dummy.js';
 import { FILLED } from '../graphics/scene.js';
@@ -132,10 +133,11 @@ export class Wardrobe {
     const request = ++this.#request;
     this.#show({ choice, said: t('Loading …') });
     try {
-      const rows = await loadAllRows(this.#collection);
+      const { rows, isCut } = await loadGarmentRows(this.#collection);
       if (request !== this.#request) return;
       history.replaceState(null, '', addressOf(choice));
       this.#show({ labels: otherLabels(rows), place: 0 });
+      if (isCut) showNotice(cutText());
       this.#list(chooseGarments(rows, choice), emptyText(choice));
     } catch (error) {
       if (request !== this.#request) return;

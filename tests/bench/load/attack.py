@@ -68,7 +68,7 @@ class Product:
         self._process = self._start()
         self.secrets = secrets or {name: self.key(name, *scopes) for name, scopes in _KEYS.items()}
         self.mallory, self.ada, self.operator = (self.client(name) for name in _KEYS)
-        self._wait("readyz" if secrets is None else "livez")
+        self._wait("readyz" if secrets is None else "v1/keys")
 
     def client(self, name: str) -> httpx.Client:
         """A client with a tenant's key."""

@@ -133,18 +133,20 @@ def _table(
     outcomes: dict[tuple[int, Way], Outcome], samples: list[Sample], options: argparse.Namespace, prices: Prices
 ) -> str:
     heads = (
-        "captures a day | way | places | workers, mean and most | busy | first look p50 | p95 | end p95 | cent an asset"
+        "captures a day | way | places | workers, mean and most | busy | listed p95 | first look p50 | p95 | end p95 | "
+        "cent an asset"
     )
-    lines = [f"| {heads} |", "|---" * 9 + "|"]
+    lines = [f"| {heads} |", "|---" * 10 + "|"]
     for (load, way), outcome in outcomes.items():
         places = _fleet(load, way, options).places if way != "centre" else 0
         paid = outcome.pool_s + outcome.box_s
         look = [at_share(outcome.first_look_s, outcome.arrived, share) for share in (0.5, 0.95)]
         end = at_share(outcome.end_s, outcome.arrived, 0.95)
+        listed = at_share(outcome.listed_s, len(outcome.listed_s), 0.95)
         pool = f"{outcome.pool_s / 86_400:.1f}, {outcome.most_workers}" if way != "boxes" else ""
         lines.append(
-            f"| {load:,} | {way} | {places or ''} | {pool} | {outcome.worked_s / paid:.0%} | {look[0]:.0f} | "
-            f"{look[1]:.0f} | {end:.0f} | {cost_cents(outcome, samples, prices):.2f} |"
+            f"| {load:,} | {way} | {places or ''} | {pool} | {outcome.worked_s / paid:.0%} | {listed:.1f} | "
+            f"{look[0]:.0f} | {look[1]:.0f} | {end:.0f} | {cost_cents(outcome, samples, prices):.2f} |"
         )
     return "\n".join(lines)
 

@@ -8,7 +8,8 @@ boxes   phone → Wi-Fi → the one worker of its place, which does everything �
 split   phone → Wi-Fi → the worker of its place makes the points → the place's uplink → a pool fits and publishes
 
 A worker has one slot, first come, first served, as the product's queue has for one tenant. A pool is fixed, or grows
-and shrinks by the rule of the chart's KEDA scaler.
+and shrinks by the rule of the chart's KEDA scaler. All publish into one collection, the worst case: one commit at a
+time, which takes all that wait.
 """
 
 from __future__ import annotations
@@ -75,6 +76,17 @@ class Scaling:
 
 
 @dataclass(frozen=True, slots=True)
+class Commits:
+    """What it takes to list a version in its collection, of any size: `python -m tests.bench catalogue`.
+
+    seconds  of one commit, where a call of the store takes 20 ms;  most  publications that share one
+    """
+
+    seconds: float = 0.5
+    most: int = 128
+
+
+@dataclass(frozen=True, slots=True)
 class Fleet:
     """What is simulated: a way, captures a day, places with a worker each, the pool's size."""
 
@@ -83,14 +95,16 @@ class Fleet:
     places: int
     pool: Scaling
     links: Links = Links()
+    commits: Commits = Commits()
 
 
 @dataclass(slots=True)
 class Outcome:
-    """What came out, in seconds: of every capture that got there the first look and the end, of the workers what they
-    were paid for and what they worked."""
+    """What came out, in seconds: of every capture that got there the first look and the end, of every publication how
+    long it took to be listed, of the workers what they were paid for and what they worked."""
 
     arrived: int = 0
+    listed_s: list[float] = field(default_factory=list)
     first_look_s: list[float] = field(default_factory=list)
     end_s: list[float] = field(default_factory=list)
     pool_s: float = 0.0
@@ -98,6 +112,33 @@ class Outcome:
     worked_s: float = 0.0
     most_workers: int = 0
     sent_bytes: float = 0.0
+
+
+class _Collection:
+    """Lists what is published: whoever publishes during a commit waits for the next one, which takes all that wait."""
+
+    def __init__(self, env: simpy.Environment, commits: Commits, outcome: Outcome) -> None:
+        self._env, self._commits, self._outcome = env, commits, outcome
+        self._waiting: list[tuple[float, Any]] = []
+        self._commits_now = False
+
+    def publish(self) -> Any:
+        """Return the event that a publication is listed."""
+        listed = self._env.event()
+        self._waiting.append((float(self._env.now), listed))
+        if not self._commits_now:
+            self._commits_now = True
+            self._env.process(self._commit())
+        return listed
+
+    def _commit(self) -> Generator[Any, Any, None]:
+        while self._waiting:
+            batch, self._waiting = self._waiting[: self._commits.most], self._waiting[self._commits.most :]
+            yield self._env.timeout(self._commits.seconds)
+            for since, listed in batch:
+                self._outcome.listed_s.append(float(self._env.now) - since)
+                listed.succeed()
+        self._commits_now = False
 
 
 class _Pool:
@@ -113,14 +154,16 @@ class _Pool:
         if scaling.most > scaling.least:
             env.process(self._scale())
 
-    def work(self, parts: Sequence[tuple[float, Callable[[], None]]]) -> Generator[Any, Any, None]:
-        """Wait for a worker, and let it do the parts, each (seconds, what is called at its end)."""
+    def work(self, parts: Sequence[tuple[float, Callable[[], Any] | None]]) -> Generator[Any, Any, None]:
+        """Wait for a worker, and let it do the parts, each (seconds, what it publishes at its end: an event)."""
         self.unfinished += 1
         token = yield self.idle.get()
-        for seconds, done in parts:
+        for seconds, publish in parts:
+            began = float(self._env.now)
             yield self._env.timeout(seconds)
-            self._outcome.worked_s += seconds
-            done()
+            if publish is not None:
+                yield publish()
+            self._outcome.worked_s += float(self._env.now) - began
         self.unfinished -= 1
         self._busy_until = self._env.now
         yield self.idle.put(token)
@@ -166,6 +209,7 @@ def simulate(
     at_places = fleet.way != "centre"
     boxes = [_Pool(env, Scaling(1, 1), own) for _ in range(fleet.places)] if at_places else []
     uplinks = [simpy.Resource(env) for _ in boxes]
+    collection = _Collection(env, fleet.commits, outcome)
 
     def capture(sample: Sample) -> Generator[Any, Any, None]:
         began, links = float(env.now), fleet.links
@@ -176,15 +220,17 @@ def simulate(
         place = chance.randrange(len(boxes)) if boxes else 0
         yield env.timeout(sample.upload_bytes / up)
 
-        def first_look() -> None:
+        def first_look(_: Any) -> None:
             way = sample.first_bytes / down + (sample.first_bytes / links.place_up if pool is None else 0.0)
             outcome.first_look_s.append(env.now - began + _NOTICE_S + way)
 
-        def nothing() -> None:
-            pass
+        def publish_preview() -> Any:
+            listed = collection.publish()
+            listed.callbacks.append(first_look)
+            return listed
 
-        points, look = (sample.points_s, nothing), (sample.preview_s, first_look)
-        rest = (sample.refine_s, nothing)
+        points, look = (sample.points_s, None), (sample.preview_s, publish_preview)
+        rest = (sample.refine_s, collection.publish)
         if not boxes:
             assert pool is not None
             yield from pool.work((points, look, rest))

@@ -352,7 +352,7 @@ def _wait_until_it_answers(port: int) -> None:
     deadline = time.monotonic() + _PATIENCE_S
     while time.monotonic() < deadline:
         try:
-            if httpx.get(f"http://127.0.0.1:{port}/livez").is_success:
+            if httpx.get(f"http://127.0.0.1:{port}/v1/keys").is_success:
                 return
         except httpx.TransportError:
             time.sleep(0.1)

@@ -104,7 +104,7 @@ def gateway(folder: Path, *, keys: bool) -> Iterator[Door]:
     try:
         while True:
             try:
-                if door.ask("GET", "/livez")[0].status == 200:
+                if door.ask("GET", "/v1/keys")[0].status == 200:
                     break
             except OSError:
                 time.sleep(0.1)

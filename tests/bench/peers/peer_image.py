@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from capture2vr.edge.single_photo.network import POINTS, base_sphere
+from tests.bench.single_photo_network.network import POINTS, base_sphere
 from tests.bench.single_photo_training.batches import Batch, training_batches
 from tests.bench.single_photo_training.losses import chamfer_loss
 

@@ -15,7 +15,7 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from capture2vr.edge.worker.health import is_serving
+from capture2vr.edge.worker.health import is_alive, is_serving
 from tests.support.patience import HANG_S, PATIENCE_S
 from tests.support.repository import ROOT
 from tests.support.workers.edge_client import Client, leftovers, upload
@@ -87,6 +87,11 @@ async def healthy(client: Client) -> bool:
     return bool(answer.status == health_pb2.HealthCheckResponse.SERVING)
 
 
+async def is_live(worker: Process) -> bool:
+    (address,) = re.findall(r"listening on (127\.0\.0\.1:\d+)", worker.log)
+    return await asyncio.to_thread(is_alive, address)
+
+
 async def test_sigterm_lets_the_running_job_end_and_hands_the_rest_back(tmp_path: Path) -> None:
     done = tmp_path / "done"
     async with process(tmp_path / "scratch", drain_s=3600) as worker, connected(worker) as client:
@@ -103,6 +108,7 @@ async def test_sigterm_lets_the_running_job_end_and_hands_the_rest_back(tmp_path
         assert (handed_back.code, handed_back.retryable) == ("WORKER_DRAINING", True)
         assert await uploading.code() == grpc.StatusCode.UNAVAILABLE
         assert not await healthy(client)
+        assert await is_live(worker), "or Kubernetes would kill what it has yet to end"
         assert (await client.worker()).draining
         with pytest.raises(grpc.aio.AioRpcError) as refused:
             await client.ended(b"ticks 1", "late")

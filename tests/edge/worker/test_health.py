@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,13 +13,14 @@ from pathlib import Path
 import pytest
 
 from capture2vr.cli.up import free_port
-from capture2vr.edge.worker.health import is_serving
+from capture2vr.edge.worker.health import is_alive, is_serving
 
 pytestmark = pytest.mark.slow
 
 
-def _check(environment: dict[str, str]) -> int:
-    return subprocess.run([sys.executable, "-m", "capture2vr.edge.worker.health"], env=environment).returncode
+def _check(environment: dict[str, str], *arguments: str) -> int:
+    command = [sys.executable, "-m", "capture2vr.edge.worker.health", *arguments]
+    return subprocess.run(command, env=environment).returncode
 
 
 def test_the_check_follows_the_worker(tmp_path: Path) -> None:
@@ -32,11 +34,17 @@ def test_the_check_follows_the_worker(tmp_path: Path) -> None:
             assert worker.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.1)
-        assert _check(environment) == 0
+        assert _check(environment) == _check(environment, "--alive") == 0
     finally:
         worker.send_signal(signal.SIGTERM)
         assert worker.wait(60) == 0
-    assert _check(environment) == 1
+    assert _check(environment) == _check(environment, "--alive") == 1
+
+
+def test_a_worker_that_hangs_is_not_alive() -> None:
+    """Its port takes connections, for the kernel does so."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        assert not is_alive(f"127.0.0.1:{silent.getsockname()[1]}", timeout_s=0.5)
 
 
 def test_a_device_that_is_not_there_stops_the_start_by_name(tmp_path: Path) -> None:

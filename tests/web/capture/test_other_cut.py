@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, Request, expect
+from playwright.sync_api import Locator, Page, Request, expect
 
 from capture2vr.cli.up import Stack
 from tests.support.pages import await_data
+from tests.support.sites import Site
 
 pytestmark = pytest.mark.browser
 
@@ -93,6 +94,10 @@ def test_a_question_is_answered_by_a_button(page: Page, stack: Stack, tmp_path: 
     expect(question).to_be_hidden()
 
 
+def marks(rows: Locator) -> list[str]:
+    return rows.locator("th").all_inner_texts()
+
+
 def test_columns_are_picked_by_their_numbers(page: Page, stack: Stack, tmp_path: Path) -> None:
     ball = np.random.default_rng(0).normal(size=(4_000, 3))
     ball *= 0.1 / np.linalg.norm(ball, axis=1, keepdims=True)
@@ -100,6 +105,12 @@ def test_columns_are_picked_by_their_numbers(page: Page, stack: Stack, tmp_path:
     send(page, stack, tmp_path / "counted.xyz")
     question, first = page.locator("#questions"), page.url
     expect(question).to_contain_text("counts the points")
+    rows = page.get_by_role("region", name="The first rows of the table")
+    expect(rows.locator("tr")).to_have_count(5)
+    assert marks(rows) == ["1x", "2y", "3z", "4"]
+    for axis, column in (("x", "2"), ("y", "3"), ("z", "4")):
+        page.get_by_label(f"Column of {axis}").fill(column)
+    assert marks(rows) == ["1", "2x", "3y", "4z"]
     page.get_by_label("Column of z").fill("")
     question.get_by_role("button", name="These columns").click()
     assert page.url == first, "a field without a number is not sent"
@@ -108,3 +119,30 @@ def test_columns_are_picked_by_their_numbers(page: Page, stack: Stack, tmp_path:
     page.wait_for_url(lambda url: "#job=" in url and url != first)
     await_data(page, state="done")
     assert size_m(stack, "counted") == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_hostile_table_is_shown_as_text_and_its_colours_stay(page: Page, site: Site) -> None:
+    hostile = "<img src=x onerror=alert(1)>"
+    values = {"columns": "x=2,y=3,z=4,r=1,g=5,b=6", "numbers": [1, 2, 3, 4, 5, 6], "rows": [[hostile] * 6]}
+    told = {"code": "columns_taken", "text": "?", "text_i18n": {"code": "columns_taken", "values": values}}
+    page.goto(site.url)
+    page.evaluate(SHOW, {**told, "answers": [{"text": "These columns", "options": {"columns": ""}}]})
+    assert page.locator("#questions td").all_inner_texts() == [hostile] * 6
+    assert page.locator("#questions img").count() == 0
+    assert sent_by(page) == "x=2,y=3,z=4,r=1,g=5,b=6"
+    page.get_by_label("Column of x").fill("5")
+    assert sent_by(page) == "x=5,y=3,z=4", "a column is not a coordinate and a colour"
+
+
+SHOW = """async (question) => {
+    const { showQuestions } = await import('/web/capture/run-again.js');
+    showQuestions({ id: 'job', questions: [question], links: { again: '/v1/again' } });
+    for (let each = document.getElementById('questions'); each; each = each.parentElement) each.hidden = false;
+}"""
+
+
+def sent_by(page: Page) -> str:
+    """The columns that the question's button asks for."""
+    with page.expect_request("**/v1/again") as request:
+        page.get_by_role("button", name="These columns").click()
+    return str(request.value.post_data_json["columns"])

@@ -11,10 +11,12 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
-from capture2vr.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
+from capture2vr.storage.catalogue.change_entry import remove
+from capture2vr.storage.catalogue.collection import Row, describe_shard, shard_data
 from capture2vr.storage.catalogue.entry import read_entry
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
-from capture2vr.storage.catalogue.removal import remove
+from capture2vr.storage.catalogue.reader import read_root
+from capture2vr.storage.catalogue.root import Index, root_name, sign_index
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from capture2vr.storage.store import IMMUTABLE, NO_CACHE
 from capture2vr.storage.tenant_store import store_of_tenant
@@ -26,7 +28,7 @@ from tests.support.things import BLUE, GREEN, RED, box, graded, moving_picture, 
 from tests.web.conftest import PHONE, GuardedSite, with_a_past, without_a_past
 
 pytestmark = pytest.mark.browser
-INDEX = index_name("default")
+INDEX = root_name("default")
 HOSTILE = "<img src=x onerror=alert(1)>"
 LONGER_MS = 6_000
 """Longer than a second press counts."""
@@ -179,7 +181,7 @@ def test_what_is_older_forged_or_changed_is_refused(
     refused(context, shelf, "CATALOGUE_FORGED", "not signed by whom it was before")
 
     replaced(shelf, now)
-    shard = Path(shelf.store.path(text["shards"][0]["name"]))
+    shard = Path(shelf.store.path(read_root(shelf.store, "default").parts[0].name))
     content = shard.read_bytes()
     shard.chmod(0o644)
     shard.write_bytes(content.replace(b"Walking", b"Running"))
@@ -258,6 +260,20 @@ def test_ten_thousand_things_are_read_as_far_as_they_are_looked_at(page: Page, t
         assert len(shown(page)) == 16
 
 
+def test_of_a_larger_collection_pages_say_how_much_they_have_looked_through(page: Page, tmp_path: Path) -> None:
+    with site_at(tmp_path) as site:
+        publish_many(site, 11_000)
+        visit(page, site, "?q=thing+10999")
+        large = "The collection is large: only its first 10,000 objects, by key, were looked through."
+        expect(page.locator("#said")).to_have_text(f"Nothing matches “thing 10999”. · {large}")
+        visit(page, site, "?order=newest&page=209")
+        expect(page.locator("#said")).to_have_text(f"About 11,000 objects · {large}")
+        expect(page.locator("#where")).to_have_text("Page 209 of 209")
+        expect(page.get_by_role("button", name="Next")).to_be_disabled()
+        page.goto(f"{site.url}/wardrobe/default")
+        expect(page.locator("#notice")).to_have_text(large)
+
+
 def test_long_names_and_words_stay_on_a_phones_screen(browser: Browser, tmp_path: Path) -> None:
     with site_at(tmp_path) as site, without_a_past(browser, PHONE) as context:
         publish(box("B" * 60, RED, labels=["L" * 60]), site.store, key="k" * 100, collection="c" * 100)
@@ -311,7 +327,7 @@ def publish_rows(site: Site, rows: list[Row]) -> None:
     shards = []
     for first in range(0, len(rows), 1000):
         part = rows[first : first + 1000]
-        data = shard_data(part, 1)
+        data = shard_data(part, str(first))
         shards.append(describe_shard("default", part, data))
         site.store.put(shards[-1].name, data, content_type="application/json", cache_control=IMMUTABLE)
     replaced(site, sign_index(Index("default", 1, "2026-01-01T00:00:00+00:00", tuple(shards)), ()))

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from capture2vr.storage.catalogue.collection import index_name
 from capture2vr.storage.catalogue.publish import PublishPolicy, publish
+from capture2vr.storage.catalogue.root import root_name
 from capture2vr.storage.catalogue.signing import Keys, generate_key, read_signer
 from capture2vr.storage.catalogue.update import rebuild
 from capture2vr.storage.local import LocalStore
@@ -22,7 +22,7 @@ from tests.support.things import RED, box
 from tests.web.conftest import without_a_past
 
 pytestmark = pytest.mark.browser
-INDEX = index_name("default")
+ROOT = root_name("default")
 BOWL = box("Bowl", RED)
 
 
@@ -39,7 +39,7 @@ def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 def store(signed: Site) -> Iterator[LocalStore]:
     """The gateway's store with an asset; its index is as it was when the test is over."""
     publish(BOWL, signed.store, key="bowl", policy=PublishPolicy(signed.keys))
-    whole = signed.store.get(INDEX)
+    whole = signed.store.get(ROOT)
     yield signed.store
     replaced(signed.store, whole)
 
@@ -52,7 +52,7 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 
 
 def replaced(store: LocalStore, index: bytes) -> None:
-    store.put(INDEX, index, content_type="application/json", cache_control=NO_CACHE)
+    store.put(ROOT, index, content_type="application/json", cache_control=NO_CACHE)
 
 
 def visit(context: BrowserContext, signed: Site) -> Page:
@@ -78,7 +78,7 @@ def test_a_signed_asset_is_shown_and_an_older_catalogue_refused(
     signed: Site,
     store: LocalStore,
 ) -> None:
-    older = store.get(INDEX)
+    older = store.get(ROOT)
     publish(BOWL, store, key="another", policy=PublishPolicy(signed.keys))
     expect_shown(visit(context, signed))
     replaced(store, older)
@@ -86,7 +86,7 @@ def test_a_signed_asset_is_shown_and_an_older_catalogue_refused(
 
 
 def test_a_forged_catalogue_is_refused(context: BrowserContext, signed: Site, store: LocalStore) -> None:
-    envelope = json.loads(store.get(INDEX))
+    envelope = json.loads(store.get(ROOT))
     text = json.loads(envelope["signed"])
     envelope["signed"] = json.dumps({**text, "version": text["version"] + 1})
     replaced(store, json.dumps(envelope).encode())

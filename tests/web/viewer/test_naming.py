@@ -10,8 +10,8 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 from capture2vr.gateway.access.caller import ALL_SCOPES, Scope
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.storage.bundle import Bundle
+from capture2vr.storage.catalogue.change_entry import change_names
 from capture2vr.storage.catalogue.entry import read_entry
-from capture2vr.storage.catalogue.names_update import change_names
 from capture2vr.storage.catalogue.publish import publish
 from capture2vr.storage.catalogue.visibility import Visibility
 from capture2vr.storage.tenant_store import store_of_tenant

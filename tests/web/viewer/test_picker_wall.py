@@ -10,8 +10,8 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, Route
 
 from capture2vr.storage.catalogue.publish import publish
-from capture2vr.storage.catalogue.scene import PlacedAsset
-from capture2vr.storage.catalogue.scene_documents import create_scene, list_scenes, read_scene
+from capture2vr.storage.scenes.scene import PlacedAsset
+from capture2vr.storage.scenes.scene_documents import create_scene, list_scenes, read_scene
 from tests.support.headsets import Hand, enter, frames, wear
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, halves, places_of, stage

@@ -17,10 +17,10 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
 from capture2vr.gateway.page_texts import WEB
+from capture2vr.storage.catalogue.change_entry import remove, restore
 from capture2vr.storage.catalogue.publish import publish
-from capture2vr.storage.catalogue.removal import remove, restore
-from capture2vr.storage.catalogue.scene import PlacedAsset
-from capture2vr.storage.catalogue.scene_documents import create_scene, list_scenes, read_scene, replace_scene
+from capture2vr.storage.scenes.scene import PlacedAsset
+from capture2vr.storage.scenes.scene_documents import create_scene, list_scenes, read_scene, replace_scene
 from capture2vr.storage.store import Store
 from tests.support.headsets import Hand, enter, wear
 from tests.support.pages import await_data, open_panel, press_twice, requests_of

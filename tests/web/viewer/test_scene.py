@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
+from capture2vr.storage.catalogue.change_entry import remove
 from capture2vr.storage.catalogue.publish import publish
-from capture2vr.storage.catalogue.removal import remove
 from tests.support.headsets import Hand, enter, wear
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, halves, places_of, stage

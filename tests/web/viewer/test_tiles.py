@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
+from capture2vr.edge.geodesy.place_on_earth import asset_to_earth
 from capture2vr.storage.catalogue.publish import publish
 from tests.support.headsets import Hand, enter, wear
 from tests.support.pages import await_data
@@ -23,8 +24,9 @@ START_M = float(hills(np.array(0.0), np.array(0.0)))
 
 @pytest.fixture(scope="module", autouse=True)
 def published(site: Site) -> None:
-    """Hills of 12 m in 1 + 4 + 16 + 64 tiles."""
-    publish(hill_bundle(levels=4)[0], site.store, key=KEY)
+    """Hills of 12 m in 1 + 4 + 16 + 64 tiles, whose place on earth the pages leave alone."""
+    to_earth = asset_to_earth("EPSG:32632", np.array([691_607.0, 5_334_760.0, 520.0]), np.eye(4))
+    publish(hill_bundle(levels=4, to_earth=to_earth)[0], site.store, key=KEY)
 
 
 def _until(page: Page, condition: str) -> None:

@@ -11,8 +11,8 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from capture2vr.storage.bundle import State
+from capture2vr.storage.catalogue.change_entry import remove
 from capture2vr.storage.catalogue.publish import publish
-from capture2vr.storage.catalogue.removal import remove
 from tests.support.garments import DRESS, SKIRT, garment
 from tests.support.headsets import Hand, enter, frames, wear
 from tests.support.pages import await_data
