@@ -19,11 +19,20 @@ def test_four_numbers_are_a_rectangle_in_the_photo_or_an_error(
     left: float, top: float, right: float, bottom: float
 ) -> None:
     values = (left, top, right, bottom)
-    if right - left >= 0.01 and bottom - top >= 0.01:
+    if (right - left >= 0.01 and bottom - top >= 0.01) or (left, top) == (right, bottom):
         assert PhotoBox.of(values).values == values
     else:
         with pytest.raises(InvalidBox):
             PhotoBox.of(values)
+
+
+@given(places, places, st.sampled_from(["", "a, b.jpg"]))
+def test_two_numbers_are_a_tap_whatever_way_it_goes(x: float, y: float, photo: str) -> None:
+    tap = PhotoBox.of([x, y, photo] if photo else [x, y])
+    assert tap.is_tap
+    assert tap.values == (x, y, x, y)
+    assert PhotoBox.parse(tap.text) == PhotoBox.of(tap.as_json) == PhotoBox.unchecked(tap.as_json) == tap
+    assert PhotoBox.of([*tap.values, photo]) == tap
 
 
 @given(places, places, places, places, st.floats(0, 3))
@@ -42,6 +51,8 @@ def test_a_grown_rectangle_holds_the_smaller_and_stays_in_the_photo(
         ("", "not four numbers"),
         ("a,b,c,d", "not four numbers"),
         ("0.1,0.2,0.3", "3 numbers instead of four"),
+        ("0.1", "1 numbers instead of four"),
+        ("0.1,1.2", "reaches beyond the photo"),
         ("0.1,0.2,0.3,0.4,0.5", "a photo's name is a text"),
         ("0.1,0.2,0.3,0.4,0.5,0.6", "6 numbers instead of four"),
         ("photo=a.jpg", "not four numbers"),

@@ -77,7 +77,8 @@ class Client:
         One of 16 MB and more goes on where it stopped after a lost connection, a restart of the gateway, or when the
         same is uploaded again.
 
-        box       left, top, right, bottom of the object in a photo, in shares of its sides, and perhaps its name
+        box       left, top, right, bottom of the object in a photo, or x, y on it, in shares of its sides, and
+                  perhaps the photo's name
         progress  called with each UploadProgress
 
         >>> client.upload(folder / "sphere.npy", progress=lambda each: None).kind

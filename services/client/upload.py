@@ -42,7 +42,7 @@ def upload(
     A large one goes on where it stopped after a lost connection, or when the same is pushed again, also where `then`
     was refused.
 
-    box        rectangle of the object in a photo, with which the worker inspects it
+    box        mark of the object in a photo, with which the worker inspects it
     continues  id of the stored capture whose photos the new one has too; "": none
     """
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:

@@ -17,7 +17,8 @@ BoxQuery = Annotated[
     Query(
         max_length=400,
         description="Rectangle around the object in a photo: left,top,right,bottom as shares of the upright photo's "
-        "width and height, and of several photos behind it ,photo= and the file's name; empty: what stands out of a "
+        "width and height, or x,y of a place on the object; of several photos behind it ,photo= and the file's name; "
+        "empty: what stands out of a "
         "single photo, else the largest object near the middle.",
         examples=["0.2,0.1,0.8,0.95"],
     ),

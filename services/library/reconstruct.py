@@ -83,8 +83,8 @@ def reconstruct(
                 taken around one
     fill        holes of the mesh to fill: "none", "unseen", "all"; default: "unseen" for photos, "none" for clouds
     longest_m   metres between the farthest points of the object, where it was measured
-    box         (left, top, right, bottom) of the object in a photo, as shares of its width and height, and behind them
-                the photo's name; without one, the first photo
+    box         (left, top, right, bottom) of the object in a photo, or (x, y) on it, as shares of the photo's width and
+                height, and behind them the photo's name; without one, the first photo
     edits       recipe of what to cut away, what is up and the true size, as in a manifest
 
     Returns a `Reconstruction`: meshes, levels of detail, textures, certificate and warnings; `.save(folder)` writes it.

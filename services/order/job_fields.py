@@ -24,7 +24,7 @@ class ReconstructionFields(TypedDict, total=False):
     columns    of a table of points, by their numbers from 1, such as "x=2,y=3,z=4"
     unit       of the coordinates in a file: "m", "cm", "mm", "in", "ft", "us-ft", "deg"
     longest_m  metres between the farthest points of the object, where it was measured
-    box        left, top, right, bottom of the object in a photo, as shares of its width and height, and behind them
+    box        left, top, right, bottom of the object in a photo, or x, y on it, as shares of its sides, and behind them
                the photo's name; without one, the first photo
     edits      recipe of what to cut away, what is up and the true size, as in a manifest (docs/edits.md)
     """

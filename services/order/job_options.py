@@ -41,7 +41,7 @@ class JobOptions:
     columns     of a table of points, such as "x=2,y=3,z=4"; "": as the table tells
     unit        of the coordinates in a file; "": what the file says, else a plausible one
     longest_m   metres between the two points of the object that are farthest apart; None: unknown
-    box         rectangle of a photo that the object lies in; None: what stands out, or is near the middle
+    box         mark of the object in a photo: a rectangle or a tap; None: what stands out, or is near the middle
     edits       recipe of what to cut away, what is up and the scale
     names       of the asset; without a label, its key
     collection  collection that lists the asset; "": the default of whoever runs the job

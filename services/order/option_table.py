@@ -81,8 +81,8 @@ OPTION_TABLE = {
     "box": OptionRow(
         "--box",
         "Rectangle around the object in a photo: left,top,right,bottom as shares of the upright photo's width and "
-        "height, such as 0.2,0.1,0.8,0.95. Of several photos it is drawn in the first, or in the one that is named "
-        "behind it: 0.2,0.1,0.8,0.95,photo=IMG_1.jpg.",
+        "height, such as 0.2,0.1,0.8,0.95; or x,y of a place on the object, such as 0.5,0.6. Of several photos it is "
+        "drawn in the first, or in the one that is named behind it: 0.2,0.1,0.8,0.95,photo=IMG_1.jpg.",
         "what stands out of a single photo, else the largest object near the middle",
     ),
     "edits": OptionRow(

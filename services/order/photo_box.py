@@ -1,4 +1,6 @@
-"""A rectangle in a photo: which part of it shows the object. The command line, the HTTP API and the wire share it."""
+"""A mark in a photo: which part of it shows the object, by a rectangle around it or a tap on it. The command line, the
+HTTP API and the wire share it.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +21,7 @@ _PHOTO = ",photo="
 """Stands before the photo's name in a text."""
 HOW = (
     "give left,top,right,bottom as shares of the upright photo's width and height, such as 0.2,0.1,0.8,0.95; "
+    "or x,y of a place on the object, such as 0.5,0.6; "
     "of pixels, divide by the photo's width and height; of several photos, name the one that it is drawn in, such as "
     "0.2,0.1,0.8,0.95,photo=IMG_1.jpg"
 )
@@ -32,7 +35,8 @@ class InvalidBox(ValueError):  # noqa: N818 - it reads as what it is
 @dataclass(frozen=True, slots=True)
 class PhotoBox:
     """A rectangle, as shares of the upright photo's width and height: (0, 0) is its top left corner, (1, 1) the bottom
-    right one. Shares hold at every resolution; those of pixels are x / width and y / height.
+    right one. Shares hold at every resolution; those of pixels are x / width and y / height. A tap on the object is a
+    rectangle without extent.
 
     photo  file in the capture that it is drawn in; "": the first photo
     """
@@ -45,11 +49,13 @@ class PhotoBox:
 
     @classmethod
     def of(cls, values: Sequence[Any]) -> PhotoBox:
-        """Make a rectangle of left, top, right, bottom, and perhaps the photo's name. Raises InvalidBox where that is
-        none inside a photo.
+        """Make a rectangle of left, top, right, bottom, or a tap of x, y, and perhaps the photo's name.
+
+        Raises InvalidBox where that is none inside a photo.
         """
-        *sides, photo = values if len(values) > 4 else (*values, "")
-        if len(sides) != 4:
+        named = len(values) == 5 or (len(values) == 3 and isinstance(values[2], str))
+        *sides, photo = values if named else (*values, "")
+        if len(sides) not in (2, 4):
             raise InvalidBox(f"the rectangle has {len(values)} numbers instead of four")
         try:
             box = cls.unchecked([*sides, _checked_name(photo)])
@@ -59,6 +65,8 @@ class PhotoBox:
             raise InvalidBox(f"the rectangle {box} has numbers that are not finite")
         if min(box.values) < 0 or max(box.values) > 1:
             raise InvalidBox(f"the rectangle {box} reaches beyond the photo, whose sides go from 0 to 1")
+        if box.is_tap:
+            return box
         if box.right <= box.left or box.bottom <= box.top:
             raise InvalidBox(f"the rectangle {box} is empty: its right must exceed its left, its bottom its top")
         if min(box.width, box.height) < LEAST_SIDE:
@@ -67,13 +75,14 @@ class PhotoBox:
 
     @classmethod
     def unchecked(cls, values: Sequence[Any]) -> PhotoBox:
-        """Make a rectangle of what `as_json` says. Raises TypeError and ValueError for what are no numbers."""
-        left, top, right, bottom = map(float, values[:4])
-        return cls(left, top, right, bottom, *values[4:])
+        """Make a rectangle or a tap of what `as_json` says. Raises TypeError and ValueError for what are no numbers."""
+        count = 4 if len(values) > 3 else 2
+        left, top, right, bottom = [*map(float, values[:count])] * (4 // count)
+        return cls(left, top, right, bottom, *values[count:])
 
     @classmethod
     def parse(cls, text: str) -> PhotoBox:
-        """Parse "left,top,right,bottom" or "left,top,right,bottom,photo=NAME". Raises InvalidBox."""
+        """Parse "left,top,right,bottom" or "x,y", and behind it perhaps ",photo=NAME". Raises InvalidBox."""
         numbers, _, photo = text.partition(_PHOTO)
         try:
             values = [float(part) for part in numbers.split(",")]
@@ -94,11 +103,20 @@ class PhotoBox:
     @property
     def text(self) -> str:
         """What `parse` makes the same rectangle from."""
-        return ",".join(map(repr, self.values)) + self._named
+        return ",".join(map(repr, self._numbers)) + self._named
+
+    @property
+    def _numbers(self) -> tuple[float, ...]:
+        return self.values[:2] if self.is_tap else self.values
 
     @property
     def _named(self) -> str:
         return _PHOTO + self.photo if self.photo else ""
+
+    @property
+    def is_tap(self) -> bool:
+        """Whether it is a place on the object, not a rectangle around it."""
+        return self.left == self.right and self.top == self.bottom
 
     @property
     def width(self) -> float:
@@ -118,7 +136,7 @@ class PhotoBox:
 
     def __str__(self) -> str:
         """The form that `parse` reads, to three digits."""
-        return ",".join(f"{value:.3g}" for value in self.values) + self._named
+        return ",".join(f"{value:.3g}" for value in self._numbers) + self._named
 
 
 def _checked_name(photo: Any) -> str:

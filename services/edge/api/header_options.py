@@ -52,7 +52,7 @@ def options_of(header: pb.Header) -> JobOptions:
 
 
 def wire_box(box: PhotoBox | None) -> pb.Box | None:
-    """Convert a rectangle to the wire's message."""
+    """Convert a rectangle or a tap to the wire's message."""
     return (
         None if box is None else pb.Box(left=box.left, top=box.top, right=box.right, bottom=box.bottom, photo=box.photo)
     )

@@ -1,4 +1,4 @@
-"""Isolate the object that a person drew a rectangle around, and mask it in all photos."""
+"""Isolate the object that a person marked by a rectangle or a tap, and mask it in all photos."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bools, Floats, Tick, no_tick
 from capture2vr.edge.capture.frame_records import first_names
-from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.capture.nouns import Capture, ShownPicture
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.texture_views import texture_view
 from capture2vr.edge.marking.marked_object import Mark, choose_marked, middle_of
@@ -20,6 +20,10 @@ from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.points.isolate import IsolatedObject, isolate_object
 from capture2vr.edge.points.nouns import Points, TextureView
 from capture2vr.edge.render.place_views import posed_picture
+from capture2vr.edge.render.posed_picture import PosedPicture
+from capture2vr.edge.render.sample_image import shrink_to
+from capture2vr.edge.single_photo.cutout import LONGEST as SEGMENTED_PX
+from capture2vr.edge.single_photo.proposal import segment_at_tap
 from capture2vr.order.option_table import Cut
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.sentences.sentence import say
@@ -57,18 +61,32 @@ def _meant(photo: str, names: Sequence[str]) -> list[str]:
 
 
 def what_to_keep(capture: Capture, cut: Cut, box: PhotoBox | None) -> Cut | Mark:
-    """Return the mark that a rectangle makes in the photo that it names; what is cut without one, or where all is kept.
+    """Return the mark that a rectangle makes in the photo that it names, or one around what a tap is on; what is cut
+    without one, or where all is kept.
 
-    Raises CaptureError BOX_PHOTO_UNUSED where that photo has no frame.
+    Raises CaptureError: BOX_PHOTO_UNUSED where that photo has no frame, CAPTURE_NO_OBJECT where a tap is on nothing.
     """
     if box is None or cut == "scene":
         return cut
     for frame in capture.frames:
         if frame.shown and frame.shown.name == box.photo and frame.load_rgb:
-            return Mark(posed_picture(texture_view(frame), _HERE), frame.shown, box)
+            picture = posed_picture(texture_view(frame), _HERE)
+            return Mark(picture, frame.shown, _around_tapped(picture, frame.shown, box) if box.is_tap else box)
     why = next((each.advice for each in capture.verdicts if each.name == box.photo and each.advice), "")
     hints = (say("draw_rectangle_in_another_photo"), *filter(None, [why]))
     raise CaptureError("BOX_PHOTO_UNUSED", say("rectangle_in_unused_photo"), file=box.photo, hints=hints)
+
+
+def _around_tapped(picture: PosedPicture, shown: ShownPicture, tap: PhotoBox) -> PhotoBox:
+    """Return the rectangle around what a person tapped on. Raises CaptureError CAPTURE_NO_OBJECT."""
+    rgb = shrink_to(picture.load_rgb(), SEGMENTED_PX)
+    height, width = rgb.shape[:2]
+    rows, columns = np.indices((height, width)).reshape(2, -1)
+    upright = shown.to_upright((np.column_stack([columns, rows]) + 0.5) / (width, height))
+    nearest = int(np.linalg.norm(upright - tap.values[:2], axis=1).argmin())
+    mask = segment_at_tap(rgb, (int(columns[nearest]), int(rows[nearest])), shown.name)
+    covered = upright[mask.ravel()]
+    return PhotoBox.unchecked([*np.clip([*covered.min(axis=0), *covered.max(axis=0)], 0.0, 1.0), tap.photo])
 
 
 def isolate_marked(

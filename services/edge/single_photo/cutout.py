@@ -21,7 +21,7 @@ from capture2vr.edge.models.nouns import UsedModel
 from capture2vr.edge.single_photo.boxed import segment_in_box
 from capture2vr.edge.single_photo.learned_cut import learned_cut
 from capture2vr.edge.single_photo.proposal import propose, segment_at_tap
-from capture2vr.edge.single_photo.segmentation import no_object
+from capture2vr.edge.single_photo.segmentation import no_object, part_at
 from capture2vr.order.photo_box import WHOLE, PhotoBox
 from capture2vr.sentences.sentence import say
 
@@ -31,9 +31,6 @@ _AROUND = 0.15  # of a rectangle's sides: how much is seen around it, to tell th
 _ALL = 0.98  # share of the photo above which a rectangle leaves nothing around it that could tell the background
 _LEAST_SIDE = 8  # pixels of what is looked at
 _BEND = 0.75  # pixels that an outline may be off the mask's, to have fewer corners
-
-Tap = tuple[float, float]
-"""Place (x, y) that a person tapped on, as shares of the upright photo's width and height."""
 
 Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) of a closed line, as shares of the upright photo's width and height."""
@@ -80,36 +77,31 @@ class CutOut:
 def cut_out(
     photo: Photo,
     box: PhotoBox | None = None,
-    tap: Tap | None = None,
     models: ModelFolder | None = None,
     tick: Tick = no_tick,
 ) -> CutOut:
     """Segment the thing in a photo: by its mask or alpha channel, if that hides anything, else by colour. A mask that
     is broken or of another shape is not used, with a warning.
 
-    box     the rectangle that the thing lies in, where a person has drawn one
-    tap     a place on the thing, which counts where there is neither mask nor rectangle
+    box     what a person marked: the rectangle that the thing lies in, or a tap on it
     models  learned models, of which one decides where nobody has said what is meant
 
     Raises CaptureError CAPTURE_NO_OBJECT where there is no thing, or what there is is cut off on every side.
     """
     (photo,), warnings = with_masks([photo], no_tick)
     tells = photo.mask is not None and not photo.mask.all()
-    cut = _cut_by_mask(photo, box) if tells else _cut_by_colour(photo, box, tap, models, tick)
+    cut = _cut_by_mask(photo, box) if tells else _cut_by_colour(photo, box, models, tick)
     return replace(cut, warnings=(*warnings, *cut.warnings))
 
 
-def _cut_by_colour(
-    photo: Photo, box: PhotoBox | None, tap: Tap | None, models: ModelFolder | None, tick: Tick
-) -> CutOut:
+def _cut_by_colour(photo: Photo, box: PhotoBox | None, models: ModelFolder | None, tick: Tick) -> CutOut:
     """Cut out what is in the rectangle or at the tap; without them, what a model sees, else what is proposed.
 
     Raises CAPTURE_NO_OBJECT.
     """
-    if box is None and tap is not None:
+    if box is not None and box.is_tap:
         rgb = _load_area(photo, WHOLE)
-        x, y = (min(side - 1, max(0, int(share * side))) for share, side in zip(tap, rgb.shape[1::-1], strict=True))
-        return CutOut(rgb, segment_at_tap(rgb, (x, y), photo.name))
+        return CutOut(rgb, segment_at_tap(rgb, _pixel(box, rgb.shape), photo.name))
     if box is None or box.width * box.height > _ALL:
         area = box or WHOLE
         rgb = _load_area(photo, area)
@@ -150,7 +142,11 @@ def _cut_by_mask(photo: Photo, box: PhotoBox | None) -> CutOut:
     height, width = stored.shape[:2]
     small = cv2.resize(255 * photo.mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
     mask = rotate_clockwise(np.asarray(small, np.uint8), photo.turns) >= OPAQUE
-    if box:
+    if box and box.is_tap:
+        mask = part_at(mask, _pixel(box, mask.shape))
+        if not mask.any():
+            raise no_object(photo.name, say("shows_nothing_at_tap"), say("tap_on_thing_or_draw_rectangle"))
+    elif box:
         rows, columns = _pixels(box, WHOLE, mask.shape)
         chosen = np.zeros_like(mask)
         chosen[rows, columns] = mask[rows, columns]
@@ -176,6 +172,11 @@ def _load_area(photo: Photo, area: PhotoBox, most: int = LONGEST) -> Bytes:
         seen = say("pixels_where_looked_too_few", width=part.shape[1], height=part.shape[0])
         raise no_object(photo.name, seen, say("take_larger_photo_draw_larger"))
     return part
+
+
+def _pixel(tap: PhotoBox, shape: tuple[int, ...]) -> tuple[int, int]:
+    """Pixel (x, y) at a tap, in a picture of this shape that shows the whole photo."""
+    return min(shape[1] - 1, int(tap.left * shape[1])), min(shape[0] - 1, int(tap.top * shape[0]))
 
 
 def _pixels(box: PhotoBox, area: PhotoBox, shape: tuple[int, ...]) -> tuple[slice, slice]:

@@ -31,6 +31,8 @@ from capture2vr.edge.single_photo.segmentation import (
     main_part,
     no_object,
     outline_contrast,
+    part_at,
+    tidy,
 )
 from capture2vr.sentences.sentence import say
 
@@ -126,7 +128,7 @@ def _candidates_at(rgb: Bytes, at: tuple[int, int]) -> Iterator[Bools]:
     surely = ellipse(shape, at, (_TAPPED * longer,) * 2)
 
     def keep(mask: Bools) -> Bools:
-        return _part_at(mask | surely, at)
+        return part_at(tidy(mask | surely), at)
 
     for share in _DISCS:
         radius = share * longer
@@ -151,16 +153,6 @@ def _grown(rgb: Bytes, seeds: Bytes, keep: Callable[[Bools], Bools]) -> Iterator
 
 def _largest(mask: Bools) -> Bools:
     return main_part(mask, most=1)
-
-
-def _part_at(mask: Bools, at: tuple[int, int]) -> Bools:
-    """The component of a mask, without specks and small holes, that contains a pixel."""
-    kernel = np.ones((3, 3), np.uint8)
-    tidy = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
-    tidy = cv2.morphologyEx(tidy, cv2.MORPH_CLOSE, kernel)
-    _, labels = cv2.connectedComponents(tidy)
-    number = labels[at[1], at[0]]
-    return np.asarray((labels == number) & (number > 0))
 
 
 def _seeds(core: Bools) -> Bytes:

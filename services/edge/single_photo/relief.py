@@ -18,7 +18,7 @@ from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.models.nouns import UsedModel
 from capture2vr.edge.points.nouns import TextureView
 from capture2vr.edge.render.sample_image import bilinear
-from capture2vr.edge.single_photo.cutout import CutOut, Tap, cut_out, rotate_clockwise
+from capture2vr.edge.single_photo.cutout import CutOut, cut_out, rotate_clockwise
 from capture2vr.edge.single_photo.membrane import Membrane, closed_mesh, inflate
 from capture2vr.edge.single_photo.outline_kind import OutlineKind, inflation_of
 from capture2vr.edge.single_photo.printed_views import PrintedPicture, printed_pictures
@@ -63,16 +63,15 @@ def make_relief(
     photo: Photo,
     *,
     box: PhotoBox | None = None,
-    tap: Tap | None = None,
     models: ModelFolder | None = None,
     tick: Tick,
 ) -> Relief:
-    """Make the relief of the thing in a photo, in a rectangle of it, or at a tap.
+    """Make the relief of the thing in a photo, or of what a person marked in it.
 
     Raises CaptureError CAPTURE_NO_OBJECT, and whatever loading the photo raises.
     """
     tick(0.0)
-    cut = cut_out(photo, box, tap, models, part_of(tick, 0.0, 0.5))
+    cut = cut_out(photo, box, models, part_of(tick, 0.0, 0.5))
     tick(0.5)
     window = _Window.around(photo, cut.bounds())
     mask = window.mask_of(cut, SIDE)

@@ -40,10 +40,7 @@ def main_part(mask: Bools, *, most: int | None = None) -> Bools:
 
     most  greatest number of them; None: any
     """
-    kernel = np.ones((3, 3), np.uint8)
-    tidy = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
-    tidy = cv2.morphologyEx(tidy, cv2.MORPH_CLOSE, kernel)
-    count, labels, stats, centres = cv2.connectedComponentsWithStats(tidy)
+    count, labels, stats, centres = cv2.connectedComponentsWithStats(tidy(mask).astype(np.uint8))
     if count < 2:
         return np.zeros_like(mask)
     middle = np.array(mask.shape[::-1]) / 2
@@ -51,6 +48,20 @@ def main_part(mask: Bools, *, most: int | None = None) -> Bools:
     merit = stats[1:, cv2.CC_STAT_AREA] * np.exp(-2 * gap * gap)
     best = np.argsort(-merit)[:most]
     return np.isin(labels, best[merit[best] > _APART * merit.max()] + 1)
+
+
+def tidy(mask: Bools) -> Bools:
+    """Remove specks and holes of a pixel or two."""
+    kernel = np.ones((3, 3), np.uint8)
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
+    return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, kernel) > 0)
+
+
+def part_at(mask: Bools, at: tuple[int, int]) -> Bools:
+    """The component of a mask that contains a pixel (x, y); empty where the mask does not have it."""
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8))
+    number = labels[at[1], at[0]]
+    return np.asarray((labels == number) & (number > 0))
 
 
 def ellipse(shape: tuple[int, ...], middle: tuple[int, int], half: tuple[float, float]) -> Bools:

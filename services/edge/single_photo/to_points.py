@@ -8,7 +8,6 @@ from capture2vr.edge.arrays import Tick, no_tick
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.points.nouns import CutReport, Points
-from capture2vr.edge.single_photo.cutout import Tap
 from capture2vr.edge.single_photo.relief import MOST_CONFIDENT, make_relief
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.sentences.sentence import say
@@ -21,16 +20,15 @@ def to_points(
     capture: Capture,
     *,
     box: PhotoBox | None = None,
-    tap: Tap | None = None,
     models: ModelFolder | None = None,
     tick: Tick = no_tick,
 ) -> Points:
-    """Guess the points of the thing in the one photo, in a rectangle of it, or at a tap, y up. models: may cut it out
+    """Guess the points of the thing in the one photo, or where a person marked it, y up. models: may cut it out
 
     Raises CaptureError CAPTURE_NO_OBJECT.
     """
     (photo,) = capture.photos
-    relief = make_relief(photo, box=box, tap=tap, models=models, tick=tick)
+    relief = make_relief(photo, box=box, models=models, tick=tick)
     return Points(
         xyz=relief.xyz,
         rgb=relief.rgb,

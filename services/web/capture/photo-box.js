@@ -1,5 +1,5 @@
-// The rectangle around the object. Of one photo, shows which part of it would be reconstructed; of several, lets the person
-// choose one to draw in.
+// The mark of the object: a tap on it, or a rectangle around it. Of one photo, shows which part of it would be
+// reconstructed; of several, lets the person choose one to mark it in.
 import { outlinePhoto } from '../shared/api.js';
 import { thumbnailOf } from './guidance.js';
 import { create, element } from '../shared/dom.js';
@@ -9,15 +9,15 @@ import { storedName } from '../shared/upload-form.js';
 
 /** @import { MarkedBox } from '../shared/upload-form.js' */
 
-/** @typedef {[left: number, top: number, right: number, bottom: number]} PhotoBox shares of the upright photo's sides */
+/** @typedef {[left: number, top: number, right: number, bottom: number]} PhotoBox shares of the upright photo's sides; a tap is one
+ * without extent */
 /** @typedef {{ x: number, y: number }} Place in the photo, as shares of its sides */
 
 const RETRY_MS = 10_000; // until the next look, where the workers are busy: each sends the photo again
-const LEAST_SIDE = 0.02; // of the photo: less is a tap, which takes the rectangle away
+const LEAST_SIDE = 0.02; // of the photo: less is a tap on the object
+const TAP_PX = 6; // from a tap to the sides of the square that shows it
 const KEY_STEP = 0.02; // of the photo, for each press of an arrow key
-const LATER = t(
-  'The outline cannot be shown now. The server looks for the object later, in the rectangle if you draw one.',
-);
+const LATER = t('The outline cannot be shown now. The server looks for the object later, where you mark it if you do.');
 /** @type {PhotoBox} */
 const FIRST_BOX = [0.25, 0.25, 0.75, 0.75]; // where a rectangle begins that is moved by keys
 /** @type {Record<string, [across: number, down: number]>} */
@@ -121,10 +121,10 @@ async function lookAgain() {
   lastRequest += 1;
   const request = lastRequest;
   drawOutline([]);
-  if (several.length) {
+  if (several.length && !isTap(box)) {
     page.note.textContent = box
       ? t('The object in the rectangle is made into a mesh, without what stands around it.')
-      : t('Draw a rectangle around the object, on the photo.');
+      : t('Tap on the object in the photo, or draw a rectangle around it.');
     return;
   }
   document.body.dataset.outlined = '';
@@ -148,8 +148,11 @@ async function findOutline(photo, request) {
   if (request === lastRequest) drawOutline(outline);
   return box
     ? t('This will be made into a mesh.')
-    : t('This will be made into a mesh. Is it not the object? Draw a rectangle around the object, on the photo.');
+    : t('This will be made into a mesh. Is it not the object? Tap on it in the photo, or draw a rectangle around it.');
 }
+
+/** Whether a mark is a place on the object. @param {PhotoBox | null} mark */
+const isTap = (mark) => Boolean(mark && mark[0] === mark[2] && mark[1] === mark[3]);
 
 // ---- drawing --------------------------------------------------------------------------------------------------------
 
@@ -163,10 +166,17 @@ function drawOutline(lines) {
 function drawBox() {
   page.rectangle.toggleAttribute('hidden', !box); // an SVG has no such property
   page.clear.hidden = !box;
-  const [left, top, right, bottom] = box ?? [0, 0, 0, 0];
+  const [left, top, right, bottom] = isTap(box) && box ? around(box) : (box ?? [0, 0, 0, 0]);
   for (const [name, value] of Object.entries({ x: left, y: top, width: right - left, height: bottom - top })) {
     page.rectangle.setAttribute(name, String(value));
   }
+}
+
+/** A small square around a tap, to see it by. @param {PhotoBox} tap @returns {PhotoBox} */
+function around([x, y]) {
+  const { width, height } = page.drawing.getBoundingClientRect();
+  const [across, down] = [TAP_PX / width, TAP_PX / height];
+  return [x - across, y - down, x + across, y + down];
 }
 
 // ---- the rectangle --------------------------------------------------------------------------------------------------
@@ -188,6 +198,7 @@ function startDrawing(event) {
   if (!event.isPrimary || event.button !== 0) return;
   page.drawing.setPointerCapture(event.pointerId); // the finger may leave the photo
   start = placeOf(event);
+  box = null; // a new mark takes the place of the one before
 }
 
 /** @param {PointerEvent} event */
@@ -202,9 +213,9 @@ function goOnDrawing(event) {
 /** @param {PointerEvent} event */
 function endDrawing(event) {
   if (!start || !event.isPrimary) return;
+  const drawn = box && !isTap(box) && Math.min(box[2] - box[0], box[3] - box[1]) >= LEAST_SIDE;
+  setBox(drawn ? box : [start.x, start.y, start.x, start.y]);
   start = null;
-  if (box && Math.min(box[2] - box[0], box[3] - box[1]) < LEAST_SIDE) box = null;
-  setBox(box);
 }
 
 /** @param {PhotoBox | null} next */
@@ -215,15 +226,18 @@ function setBox(next) {
 }
 
 /**
- * Arrow keys move the rectangle; with Shift they move its right bottom corner. Delete takes it away.
+ * Arrow keys move the rectangle; with Shift they move its right bottom corner. Enter puts a tap in its middle, Delete takes
+ * the mark away.
  * @param {KeyboardEvent} event
  */
 function changeByKey(event) {
   if (event.key === 'Delete' || event.key === 'Backspace') setBox(null);
+  const [left, top, right, bottom] = (isTap(box) ? null : box) ?? FIRST_BOX;
+  const middle = { x: within((left + right) / 2), y: within((top + bottom) / 2) };
+  if (event.key === 'Enter') setBox([middle.x, middle.y, middle.x, middle.y]);
   if (!(event.key in ARROWS)) return;
   event.preventDefault();
   const [across, down] = ARROWS[event.key];
-  const [left, top, right, bottom] = box ?? FIRST_BOX;
   /** @type {PhotoBox} */
   const moved = event.shiftKey
     ? [left, top, right + across, bottom + down]

@@ -15,7 +15,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bools
 from capture2vr.edge.errors import CaptureError
-from capture2vr.edge.single_photo.cutout import CutOut, Tap, cut_out
+from capture2vr.edge.single_photo.cutout import CutOut, cut_out
 from capture2vr.edge.single_photo.proposal import overlap
 from capture2vr.order.photo_box import PhotoBox
 from tests.conftest import data_folder
@@ -28,7 +28,7 @@ _GOOD = 0.8
 
 WAYS: dict[str, Callable[[BusyPhoto], CutOut]] = {
     "automatic": lambda each: cut_out(photo(each.rgb)),
-    "a tap": lambda each: cut_out(photo(each.rgb), tap=tap_on(each.mask)),
+    "a tap": lambda each: cut_out(photo(each.rgb), tap_on(each.mask)),
     "a rectangle": lambda each: cut_out(photo(each.rgb), box_around(each.mask)),
 }
 
@@ -51,12 +51,12 @@ def main(arguments: list[str]) -> None:
             print(f"| {name} | {figures} |", flush=True)
 
 
-def tap_on(mask: Bools) -> Tap:
+def tap_on(mask: Bools) -> PhotoBox:
     """Where a person would tap on a thing."""
     away = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
     within = np.argwhere(away >= _WITHIN * away.max())
     row, column = within[np.argmin(((within - np.argwhere(mask).mean(axis=0)) ** 2).sum(axis=1))]
-    return (column + 0.5) / mask.shape[1], (row + 0.5) / mask.shape[0]
+    return PhotoBox.of([(column + 0.5) / mask.shape[1], (row + 0.5) / mask.shape[0]])
 
 
 def box_around(mask: Bools) -> PhotoBox:

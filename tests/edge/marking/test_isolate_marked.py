@@ -16,6 +16,7 @@ from capture2vr.edge.capture.nouns import Capture, Cloud, PhotoVerdict
 from capture2vr.edge.capture_to_points import to_points
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.marking.isolate_marked import what_to_keep, with_marked_photo
+from capture2vr.edge.marking.marked_object import Mark
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.photos.to_depth import to_depth
 from capture2vr.edge.points.nouns import Points
@@ -66,12 +67,16 @@ def capture(walk: Walkaround) -> Capture:
 
 
 @pytest.fixture(scope="module")
-def points(walk: Walkaround, capture: Capture) -> Points:
+def around(walk: Walkaround) -> PhotoBox:
+    """The rectangle around the neighbour in the photo that it is marked in."""
     mask = shown(walk, walk.camera_to_world[MARKED])
     rows, columns = np.flatnonzero(mask.any(axis=1)) / len(mask), np.flatnonzero(mask.any(axis=0)) / mask.shape[1]
-    around = PhotoBox(columns[0], rows[0], columns[-1], rows[-1]).grown(0.1)
-    name = f"images/{walk.photos[MARKED].name}"
-    return to_points(capture, box=replace(around, photo=name), fill="unseen")
+    return PhotoBox(columns[0], rows[0], columns[-1], rows[-1], f"images/{walk.photos[MARKED].name}")
+
+
+@pytest.fixture(scope="module")
+def points(capture: Capture, around: PhotoBox) -> Points:
+    return to_points(capture, box=around.grown(0.1), fill="unseen")
 
 
 @pytest.mark.slow
@@ -104,6 +109,17 @@ def test_every_photo_has_a_mask_of_the_object_in_the_rectangle(walk: Walkaround,
     assert len(overlaps) > 10
     assert np.median(overlaps) > 0.9
     assert min(overlaps) > 0.75
+
+
+@pytest.mark.slow
+def test_a_tap_marks_the_rectangle_around_what_it_is_on(capture: Capture, around: PhotoBox) -> None:
+    x, y = (around.left + around.right) / 2, (around.top + around.bottom) / 2
+
+    mark = what_to_keep(capture, "auto", PhotoBox.of([x, y, around.photo]))
+
+    assert isinstance(mark, Mark)
+    assert mark.box.photo == around.photo
+    assert np.allclose(mark.box.values, around.values, atol=0.04)
 
 
 def test_a_rectangle_is_drawn_in_a_photo_of_the_capture(tmp_path: Path) -> None:

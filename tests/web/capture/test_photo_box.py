@@ -73,7 +73,7 @@ def test_the_outline_is_shown_and_a_rectangle_says_what_is_meant(page: Page, sta
     both = outlined(page)
     assert both[:, 0].min() == pytest.approx(RED[0] - RADIUS, abs=8)
     assert both[:, 0].max() == pytest.approx(BLUE[0] + RADIUS, abs=8)
-    expect(page.locator("#which-note")).to_contain_text("Draw a rectangle")
+    expect(page.locator("#which-note")).to_contain_text("draw a rectangle")
 
     draw(page, *around(BLUE))
     one = outlined(page)
@@ -81,7 +81,7 @@ def test_the_outline_is_shown_and_a_rectangle_says_what_is_meant(page: Page, sta
     assert one[:, 1].max() == pytest.approx(BLUE[1] + RADIUS, abs=8)
     expect(page.locator("#which-box")).to_be_visible()
 
-    page.get_by_role("button", name="Without the rectangle").click()
+    page.get_by_role("button", name="Without the mark").click()
     assert outlined(page)[:, 0].min() == pytest.approx(RED[0] - RADIUS, abs=8)
     expect(page.locator("#which-box")).to_be_hidden()
 
@@ -140,13 +140,37 @@ def test_keys_move_and_size_the_rectangle(page: Page, stack: Stack, photo: Path)
     expect(rectangle).to_be_hidden()
 
 
-def test_a_tap_takes_the_rectangle_away(page: Page, stack: Stack, photo: Path) -> None:
+def test_a_tap_takes_the_rectangles_place_and_goes_with_the_job(page: Page, stack: Stack, photo: Path) -> None:
     choose(page, stack, photo)
     outlined(page)
-    draw(page, *around(BLUE))
-    expect(page.locator("#which-box")).to_be_visible()
+    draw(page, *around(RED))
+    outlined(page)
     draw(page, BLUE, BLUE)
-    expect(page.locator("#which-box")).to_be_hidden()
+    one = outlined(page)
+    assert one[:, 0].min() == pytest.approx(BLUE[0] - RADIUS, abs=8)
+    assert one[:, 0].max() == pytest.approx(BLUE[0] + RADIUS, abs=8)
+    with page.expect_request("**/v1/jobs") as job:
+        page.locator("#name").fill("disc")
+        page.get_by_role("button", name="Send").click()
+    box = json.loads(job.value.post_data or "")["box"]
+    assert np.allclose(np.multiply(box, [WIDTH, HEIGHT] * 2), [*BLUE, *BLUE], atol=4)
+
+
+def test_a_tap_shows_the_outline_in_one_of_several_photos(
+    page: Page, stack: Stack, photo: Path, tmp_path: Path
+) -> None:
+    paths = [tmp_path / f"{number}.jpg" for number in range(3)]
+    for path in paths:
+        path.write_bytes(photo.read_bytes() + b"\0" * len(path.stem))
+    page.goto(stack.url)
+    page.locator("#photos").set_input_files(paths)
+    await_data(page, looked="3")
+    page.get_by_text("Mark the object", exact=True).click()
+    page.get_by_role("button", name="Mark the object in 1.jpg").click()
+    draw(page, BLUE, BLUE)
+    one = outlined(page)
+    assert one[:, 0].min() == pytest.approx(BLUE[0] - RADIUS, abs=8)
+    assert one[:, 0].max() == pytest.approx(BLUE[0] + RADIUS, abs=8)
 
 
 def test_where_there_is_nothing_the_page_says_so_before_sending(page: Page, stack: Stack, tmp_path: Path) -> None:
@@ -170,7 +194,7 @@ def test_the_object_is_marked_in_one_of_several_photos(page: Page, stack: Stack,
     second = page.get_by_role("button", name="Mark the object in image.jpg").nth(1)
     second.click()
     expect(second).to_have_attribute("aria-pressed", "true")
-    expect(page.locator("#which-note")).to_contain_text("Draw a rectangle")
+    expect(page.locator("#which-note")).to_contain_text("draw a rectangle")
     draw(page, *around(BLUE))
     expect(page.locator("#which-note")).to_contain_text("without what stands around it")
     (left, top), (right, bottom) = around(BLUE)
