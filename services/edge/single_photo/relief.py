@@ -1,12 +1,13 @@
 """Make a printed relief of the thing in one photo: its outline inflated, the photo printed on the front. It is a guess.
 
-The relief is closed, and symmetric about a plane, in which its outline lies. Its front as seen by the photo's camera is
-the photo to the pixel; how thick it is follows from the kind of its outline alone.
+The relief is symmetric about a plane, in which its outline lies, and closed, but for a garment: that is two sheets that
+end side by side at neck, sleeves and hem. Its front as seen by the photo's camera is the photo to the pixel; how thick
+it is follows from the kind of its outline alone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -19,6 +20,7 @@ from capture2vr.edge.models.nouns import UsedModel
 from capture2vr.edge.points.nouns import TextureView
 from capture2vr.edge.render.sample_image import bilinear
 from capture2vr.edge.single_photo.cutout import CutOut, cut_out, rotate_clockwise
+from capture2vr.edge.single_photo.garment import open_ends
 from capture2vr.edge.single_photo.membrane import Membrane, closed_mesh, inflate
 from capture2vr.edge.single_photo.outline_kind import OutlineKind, inflation_of
 from capture2vr.edge.single_photo.printed_views import PrintedPicture, printed_pictures
@@ -30,6 +32,8 @@ _PRINT_PX = 2048
 """Most pixels along the longer side of the printed pictures: as many as the largest texture has."""
 SIDE = 186
 """Pixels along the sides of the square around it: textures take little from a picture's outer 6 %."""
+_BEYOND = 14.0
+"""Pixels that a garment's sheets go on beyond its openings before they are cut: there their edge is not rounded."""
 _PRINTED = 2
 """Times finer is the mask of the printed pictures."""
 _BACK = "{} (back)"
@@ -47,6 +51,7 @@ class Relief:
     xyz    (N,3) float64, evenly spaced; rgb (N,3) uint8 sRGB, of the printed pictures
     views  the two pictures with their cameras: the front, and the back
     kind   what its thickness follows from; mask (h,w): what was inflated
+    closed whether it has no opening
     models learned models that cut it out
     """
 
@@ -55,6 +60,7 @@ class Relief:
     views: tuple[TextureView, TextureView]
     kind: OutlineKind
     mask: Bools
+    closed: bool
     warnings: tuple[str, ...] = ()
     models: tuple[UsedModel, ...] = ()
 
@@ -76,13 +82,18 @@ def make_relief(
     window = _Window.around(photo, cut.bounds())
     mask = window.mask_of(cut, SIDE)
     kind, inflation = inflation_of(mask)
-    membrane = inflate(mask, inflation)
+    beyond = open_ends(mask, _BEYOND) if kind == "garment" else np.zeros_like(mask)
+    membrane = inflate(mask | beyond, inflation)
     surface = closed_mesh(membrane).vertices
+    surface = surface[~_in(_cut_away(mask, beyond), surface)]
+    membrane = replace(membrane, squared=np.where(beyond, -1.0, membrane.squared))
     tick(0.7)
     views = _views(printed_pictures(window.load(photo), window.mask_of(cut, _PRINTED * SIDE)), membrane, photo.name)
     rgb = _colours(surface, views)
     tick(1.0)
-    return Relief(_as_seen(surface) / GRID, rgb, views, kind, mask, cut.warnings, cut.models)
+    return Relief(
+        _as_seen(surface) / GRID, rgb, views, kind, mask, not beyond.any(), warnings=cut.warnings, models=cut.models
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +148,20 @@ def _warp(image: Floats | Bytes, start: tuple[float, float], by: tuple[float, fl
     warp = np.array([[by[0], 0, start[0] + by[0] / 2 - 0.5], [0, by[1], start[1] + by[1] / 2 - 0.5]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(image, warp, (side, side), flags=flags, borderMode=border)
+
+
+def _cut_away(mask: Bools, beyond: Bools) -> Bools:
+    """Mask (h,w) of what goes on behind a garment's openings, and of the rounded edge beside that."""
+    beside, grown = (
+        cv2.dilate(each.astype(np.uint8), np.ones((side, side))) > 0 for each, side in ((beyond, 9), (mask, 3))
+    )
+    return np.asarray(beyond | (beside & ~grown))
+
+
+def _in(mask: Bools, surface: Floats) -> Bools:
+    """Which places (N,3) in pixels lie over a mask (h,w)."""
+    at = np.stack([surface[:, 0], -surface[:, 1]], axis=1) / SIDE + 0.5
+    return np.asarray(bilinear((255 * mask[..., None]).astype(np.uint8), at)[:, 0] > 127)
 
 
 def _as_seen(surface: Floats) -> Floats:

@@ -40,5 +40,5 @@ def to_points(
         models=relief.models,
         texture_views=relief.views,
         cut=CutReport("object", say("photo_printed_on_outline")),
-        closed=True,
+        closed=relief.closed,
     )
