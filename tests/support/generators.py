@@ -1,4 +1,4 @@
-"""A generator on loopback that answers as it is told, by trellis-server's two routes: well, slowly, or with anything."""
+"""A generator on loopback that answers as it is told, by trellis-server's two routes, and a thing for it to make."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.arrays import Bools, Bytes, Floats
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.render.renderer import RenderMesh, place_cameras, render_view
+from capture2vr.edge.srgb import to_srgb
 
 Tell = Callable[[BaseHTTPRequestHandler], None]
 """Writes an answer to POST /generate."""
@@ -37,7 +39,6 @@ class StubGenerator:
     health: int = 200
     asked: list[str] = field(default_factory=list)
     fields: dict[str, bytes] = field(default_factory=dict)
-    sent: int = 0
 
 
 @contextmanager
@@ -58,7 +59,9 @@ def generator(tell: Tell, health: int = 200) -> Iterator[StubGenerator]:
             body = self.rfile.read(int(self.headers["Content-Length"]))
             head = f"Content-Type: {self.headers['Content-Type']}\r\n\r\n".encode()
             form: Any = BytesParser(policy=HTTP).parsebytes(head + body)
-            stub.fields = {part.get_param("name", header="content-disposition"): part.get_content() for part in form.iter_parts()}
+            stub.fields = {
+                part.get_param("name", header="content-disposition"): part.get_content() for part in form.iter_parts()
+            }
             with suppress(OSError):  # the client has hung up
                 tell(self)
 
@@ -75,7 +78,9 @@ def generator(tell: Tell, health: int = 200) -> Iterator[StubGenerator]:
         thread.join()
 
 
-def write(to: BaseHTTPRequestHandler, body: bytes, *, status: int = 200, kind: str = "text/plain", size: int = -1) -> None:
+def write(
+    to: BaseHTTPRequestHandler, body: bytes, *, status: int = 200, kind: str = "text/plain", size: int = -1
+) -> None:
     """Write an answer. size: that it announces, if another than the body's"""
     to.send_response(status)
     to.send_header("Content-Type", kind)
@@ -104,3 +109,23 @@ def boxes(turn: float = 0.0, size: float = 1.0, offset: tuple[float, float, floa
 
 def boxes_glb(turn: float = 0.0, size: float = 1.0, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> bytes:
     return to_glb(boxes(turn, size, offset))
+
+
+def points_on(mesh: Mesh, count: int = 40_000) -> tuple[Floats, Bytes]:
+    """Points (N,3) all over a mesh, and their colours."""
+    rng = np.random.default_rng(0)
+    corners = mesh.vertices[mesh.faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen = rng.choice(len(areas), count, p=areas / areas.sum())
+    weights = rng.dirichlet(np.ones(3), count)
+    assert mesh.rgb is not None
+    return np.einsum("nc,ncd->nd", weights, corners[chosen]), mesh.rgb[mesh.faces[chosen, 0]]
+
+
+def photo_of(mesh: Mesh, side: int, height: float = 0.0) -> tuple[Bytes, Bools]:
+    """A picture (side,side,3) of a mesh before grey, and its mask: from +z, `height` degrees over the horizon."""
+    subject = RenderMesh.of(mesh, side, sky_rays=1)
+    (camera,) = place_cameras(subject, (0.0,), height)
+    view = render_view(subject, camera, side)
+    rgb = to_srgb(view.light + (1 - view.cover) * np.float32(0.6))
+    return rgb, np.asarray(view.cover[..., 0] > 0.5)

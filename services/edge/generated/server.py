@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from pathlib import Path
@@ -152,7 +152,8 @@ class _Asked:
             if self._stopped:
                 return
             self._connection.request(method, route, body or None, headers)
-            found.set_result(read(self._connection.getresponse()))
+            with closing(self._connection.getresponse()) as answer:
+                found.set_result(read(answer))
         except BaseException as error:  # noqa: BLE001 - whatever it is, the thread that waits must be told
             found.set_exception(error)
         finally:

@@ -8,7 +8,7 @@ import numpy as np
 from capture2vr.edge.arrays import Bytes
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_WIDE, _HIGH = 0.6, 0.085  # of the picture's side: the word and, of twice its letters' height, the band around it
+_WIDE, _HIGH = 0.6, 0.06  # most of the picture's side that the word takes, and its capitals
 _PAPER, _INK = 32, 255  # sRGB levels
 
 
@@ -18,13 +18,14 @@ def watermark(picture: Bytes, word: str) -> Bytes:
         return picture
     side = len(picture)
     (width, height), _ = cv2.getTextSize(word, _FONT, 1.0, 2)
-    scale = min(_WIDE * side / width, _HIGH / 2 * side / height)
+    scale = min(_WIDE * side / width, _HIGH * side / height)
     thick = max(1, round(2 * scale))
     (width, height), below = cv2.getTextSize(word, _FONT, scale, thick)
-    left, foot = (side - width) // 2, side - below - height // 2
+    pad = height // 2
+    left, foot = (side - width) // 2, side - below - pad // 2
     marked = np.ascontiguousarray(picture)
     full = (255,) * (picture.shape[2] - 3)
-    corner, other = (left - height, foot - 2 * height), (left + width + height, side)
-    cv2.rectangle(marked, corner, other, (_PAPER, _PAPER, _PAPER, *full), cv2.FILLED)
-    cv2.putText(marked, word, (left, foot - height // 3), _FONT, scale, (_INK, _INK, _INK, *full), thick, cv2.LINE_AA)
+    paper, ink = ((level,) * 3 + full for level in (_PAPER, _INK))
+    cv2.rectangle(marked, (left - pad, foot - height - pad), (left + width + pad, side), paper, cv2.FILLED)
+    cv2.putText(marked, word, (left, foot), _FONT, scale, ink, thick, cv2.LINE_AA)
     return marked
