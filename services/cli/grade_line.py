@@ -14,6 +14,17 @@ def grade_line(grade: Mapping[str, str]) -> str:
     return f"{grade['level'].capitalize()}{why}"
 
 
+def origin_line(origin: str) -> str:
+    """Return what an asset is that was not measured, as one line; "" of one that was."""
+    return _ORIGINS.get(origin, "")
+
+
+_ORIGINS = {
+    "generated": "Generated: a generator made this shape up from one photo; nothing of it was measured",
+    "guess": "A guess: this shape was made from the outline in one photo; its depth was not measured",
+}
+
+
 def other_warnings(
     grade: Mapping[str, str] | None, warnings: Sequence[str], questions: Sequence[Mapping[str, Any]] | None = None
 ) -> list[str]:

@@ -9,10 +9,12 @@ from capture2vr.edge.engine.nouns import Needs
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import Ktx2Encoder
 from capture2vr.edge.field.device import find_device
+from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.edge.jobs.available_presets import known_presets
 from capture2vr.edge.jobs.central_client import Central
 from capture2vr.edge.jobs.fit_job import FieldFitter
 from capture2vr.edge.jobs.job_process import JobProcesses
+from capture2vr.edge.jobs.job_task import Machine
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.worker.control_group import own_control_group
@@ -72,7 +74,9 @@ def _start(*, out_of_memory: bool) -> int:
     central = Central(settings.central, credentials=credentials) if settings.central else None
     room = Needs(machine_cores() / settings.slots, 1 / settings.slots, machine_bytes() // settings.slots)
     models = ModelFolder(settings.models, device.name) if settings.models else None
-    fitter = FieldFitter(store, presets, device, memory, policy, encode, (settings.engine, room), models)
+    generator = GeneratorServer.at(settings.generator)
+    machine = Machine(device.name, memory.total_bytes, encode, (settings.engine, room), models, generator)
+    fitter = FieldFitter(store, presets, device, memory, policy, machine)
     processes = JobProcesses(most_seconds=settings.job_s)
     work = Reconstructor(fitter, central, storage.collection, processes)
     work.warm_up()

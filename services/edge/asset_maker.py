@@ -90,12 +90,12 @@ class AssetMaker:
     ) -> MeasuredSurface:
         """Measure a surface, and compare it with photos, which tells whether a draft is held back."""
         certificate = certify(distance, filled.mesh, self.subject.evidence, pieces)
+        subject, origin = self.subject, self.subject.source.origin
         # A guess was made to look like its photo, which therefore says nothing about it: it has no grade.
-        guess = self.subject.source.kind == "image"
-        check = (
-            PhotoCheck() if guess else check_surface_with_photos(filled.mesh, self.subject.colours, self.subject.unit)
-        )
-        return MeasuredSurface(filled, resolution, replace(certificate, photos=check.figures), check)
+        is_measured = origin == "measured"
+        check = check_surface_with_photos(filled.mesh, subject.colours, subject.unit) if is_measured else PhotoCheck()
+        certificate = replace(certificate, origin=origin, photos=check.figures)
+        return MeasuredSurface(filled, resolution, certificate, check)
 
     def levels(
         self, surface: MeasuredSurface, to_asset: Floats | None = None

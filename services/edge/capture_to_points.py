@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from capture2vr.edge.arrays import Floats, Tick, no_tick, part_of, pick
-from capture2vr.edge.capture.nouns import Capture, CaptureKind, Frame, PhotoVerdict
+from capture2vr.edge.capture.facts import CaptureFacts
+from capture2vr.edge.capture.nouns import Capture, CaptureKind, Frame
 from capture2vr.edge.closing.close_object import close_object
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.coverage import unseen_sides
@@ -19,6 +18,8 @@ from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
 from capture2vr.edge.fusion.fuse_scene import fuse_scene
 from capture2vr.edge.fusion.orbit import require_aim, sees_a_scene, sure_aim
 from capture2vr.edge.fusion.texture_views import hold_out_frames, select_scene_views, select_texture_views, texture_view
+from capture2vr.edge.generated.server import GeneratorServer
+from capture2vr.edge.generated.to_points import generated_points, require_one_photo
 from capture2vr.edge.marking.isolate_marked import isolate_marked, what_to_keep, with_marked_photo
 from capture2vr.edge.marking.marked_object import Mark
 from capture2vr.edge.models.folder import ModelFolder
@@ -62,21 +63,6 @@ _PHOTO_PREVIEW_SHARE = 0.6  # the same for photos, whose depth images take most 
 
 
 @dataclass(frozen=True, slots=True)
-class CaptureFacts:
-    """The manifest's facts about a capture: kind, format, number of frames or photos, and each photo's verdict."""
-
-    kind: CaptureKind
-    format: str
-    frames: Annotated[int, Field(ge=0)]
-    verdicts: tuple[PhotoVerdict, ...] = ()
-
-    @classmethod
-    def of(cls, capture: Capture) -> CaptureFacts:
-        """Summarise a capture: its kind, format and number of frames or points, for reports."""
-        return cls(capture.kind, capture.format, len(capture.frames) or len(capture.photos), capture.verdicts)
-
-
-@dataclass(frozen=True, slots=True)
 class PreparedPoints:
     """Points ready for fitting a field, with a summary of their capture and the seconds that each stage took."""
 
@@ -99,27 +85,35 @@ def prepare(
     device: str = "cpu",
     hold_out: int | None = None,
     models: ModelFolder | None = None,
+    generator: GeneratorServer | None = None,
 ) -> Generator[Progress, None, PreparedPoints]:
     """Make the points of a capture, and move `bar` to where fitting begins. Arguments and errors as of `reconstruct`.
 
-    options  of the job; here count its cut, longest_m, box and edits
-    refines  whether a training may follow the preview
-    models   learned models that may help
+    options    of the job; here count its cut, longest_m, box and edits
+    refines    whether a training may follow the preview
+    models     learned models that may help
+    generator  makes the object; None: it is made from the capture
     """
+    if generator is not None:
+        require_one_photo(capture)
     options = replace(options, box=with_marked_photo(capture, options.box))
     require_photos(capture, options.edits.lassos)
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
     bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
-    source = CaptureFacts.of(capture)
+    source = CaptureFacts.of(capture, generated=generator is not None)
     if capture.kind == "photos":
         yield bar.begin("ALIGNING", say("count_photos", count=len(capture.photos)))
         with clock("ALIGNING"):
             capture = to_depth(capture, device=device, tick=bar.tick("ALIGNING"))
             source = replace(source, verdicts=capture.verdicts)
-    yield bar.begin("POINT_CLOUD", say("reading_format", format=source.format))
+    yield bar.begin("POINT_CLOUD", say("generator_works") if generator else say("reading_format", format=source.format))
     with clock("POINT_CLOUD"):
-        points = _points(capture, options, hold_out, models, bar)
+        points = (
+            generated_points(capture, generator, box=options.box, models=models, tick=bar.tick("POINT_CLOUD"))
+            if generator
+            else _points(capture, options, hold_out, models, bar)
+        )
         if options.longest_m:  # it was measured before anything was cut away
             points = scale_to_longest(points, options.longest_m)
         points = cut_away(points, options.edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import DistanceFn, Floats, Ints
+from capture2vr.edge.capture.facts import Origin
 from capture2vr.edge.mesh.distance import distance_to_mesh
 from capture2vr.edge.mesh.edges import edges_of
 from capture2vr.edge.mesh.nouns import Mesh
@@ -91,6 +92,8 @@ class Certificate:
     distances            (H,) of the held-out points, for comparing two surfaces point by point
     photos               figures of the comparison with held-out photos; None where the capture could spare none, and
                          until they are compared: `certify` does not
+    origin               of the points: figures of a guess, or of what was generated, are about it, and not about the
+                         object
     pieces               of the surface, kept and dropped, with reasons; those dropped are not in the other figures
     """
 
@@ -113,6 +116,7 @@ class Certificate:
     largest_hole: float
     distances: Floats = field(repr=False, compare=False)
     photos: PhotoFigures | None = None
+    origin: Origin = "measured"
     pieces: tuple[Piece, ...] = ()
 
     @property

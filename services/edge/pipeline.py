@@ -23,6 +23,7 @@ from capture2vr.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, pre
 from capture2vr.edge.certificate import QualityVerdict, compare
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.field.config import AnchorConfig
+from capture2vr.edge.generated.to_points import generator_of
 from capture2vr.edge.job_resources import CPU_ALONE, JobResources
 from capture2vr.edge.local_fit import LocalFit, SplitPoints, fit_local, split_points
 from capture2vr.edge.paper_field.network_config import NetworkConfig
@@ -78,7 +79,8 @@ def reconstruct(
     options   of the job; what its recipe says of cut, fill, preset and target is with the caller
     hold_out  number of photos that the result is not made from, but compared with; None: a few of 16 or more
 
-    Raises CaptureError where the capture cannot give a surface; EdgeError EDITS_NOTHING_LEFT where too few points
+    Raises EdgeError GENERATOR_ABSENT, GENERATOR_UNAVAILABLE and GENERATOR_FAILED where the preset asks a generator;
+    CaptureError where the capture cannot give a surface; EdgeError EDITS_NOTHING_LEFT where too few points
     remain, EDITS_UNKNOWN_PHOTO where a lasso is in a photo that there is not; Cancelled when `watch` does; EdgeError
     TARGET_UNKNOWN, and KTX2_UNAVAILABLE at once where the target wants KTX2 and `resources` have no encoder; after a
     preview and before a refined bundle EdgeError BUDGET_UNREACHABLE where one costs more than the target allows, and
@@ -97,6 +99,7 @@ def reconstruct(
         device=resources.device,
         hold_out=hold_out,
         models=resources.models,
+        generator=generator_of(preset, resources.generator),
     )
     share = preview_share(prepared.source.kind)
     yield from bundles(prepared, preset, bar, options, resources, share=share)

@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.field.config import AnchorConfig
 from capture2vr.edge.paper_field.network_config import UNUSED_KEYS, NetworkConfig
+from capture2vr.order.option_table import GENERATE
 from capture2vr.sentences.sentence import say, sentence_or_text
 
 AUTOMATIC = "auto"
@@ -25,7 +26,7 @@ means the same."""
 PresetName = Literal["draft", "standard", "fine", "scene", "scene-tiles"]
 """Presets that the automatic choice chooses from."""
 
-_ORDER = ("draft", "standard", "fine", "splats", "scene", "scene-tiles")
+_ORDER = ("draft", "standard", "fine", "splats", "scene", "scene-tiles", GENERATE)
 """Order of the product's presets in lists, from quick to thorough; the literature's come after them."""
 _POINT_BYTES = 400  # of a capture: 1,000,000 points take 400 MB on their way to the 200,000 that are kept
 _CELL_BYTES = 1_500  # per cell of the surface, some resolution² of them: 384 cells take 220 MB while extracting
@@ -80,6 +81,11 @@ class Preset:
     def refines(self) -> bool:
         """Whether a refined bundle follows the preview, from a training or from tiles."""
         return self.fit is not None or self.tiled
+
+    @property
+    def generates(self) -> bool:
+        """Whether a generator makes the points of it, from a capture of one photo."""
+        return self.name == GENERATE
 
 
 _AUTOMATIC_PRESET = Preset(AUTOMATIC, say("preset_auto"))

@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 from capture2vr.edge.capture.nouns import Capture
+from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.pipeline import PreviewKept
 from capture2vr.edge.pipeline import reconstruct as run
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset
 from capture2vr.edge.progress import Progress
+from capture2vr.errors import BadInput
 from capture2vr.order.job_fields import JobFields, ReconstructionFields, options_of
 from capture2vr.storage.bundle import Bundle
 
@@ -33,9 +35,11 @@ def run_pipeline(
     *,
     resolution: int,
     device: str,
+    generator: str,
     watch: Callable[[Progress], None],
 ) -> MadeBundles:
-    """Reconstruct a capture. resolution: cells along the longest side, 0: as the preset has it.
+    """Reconstruct a capture. resolution: cells along the longest side, 0: as the preset has it; generator: address of
+    the one that the preset generate asks, "": none
 
     Raises EdgeError, CaptureError, and BadInput for a keyword's value that does not fit.
     """
@@ -44,7 +48,8 @@ def run_pipeline(
     chosen = load_preset(said.completed().preset)
     chosen = replace(chosen, resolution=resolution or chosen.resolution)
     options = replace(said, cut=said.cut or said.edits.cut or "auto", preset=chosen.name).completed()
-    steps = run(capture, chosen, options, JobResources(_device(chosen, device)), watch=watch)
+    resources = JobResources(_device(chosen, device), generator=_generator(generator))
+    steps = run(capture, chosen, options, resources, watch=watch)
     bundles: list[Bundle] = []
     kept = None
     with closing(steps):
@@ -59,6 +64,13 @@ def run_pipeline(
                     watch(step)
     preview = next(each for each in reversed(bundles) if each.state == "preview")
     return MadeBundles(preview, bundles[-1], kept)
+
+
+def _generator(address: str) -> GeneratorServer | None:
+    try:
+        return GeneratorServer.at(address)
+    except ValueError as error:
+        raise BadInput(f"generator {error}") from None
 
 
 def _device(preset: Preset, name: str) -> str:

@@ -69,6 +69,7 @@ def reconstruct(
     preset: str = "auto",
     resolution: int = 0,
     device: str = "auto",
+    generator: str = "",
     progress: OnProgress = ignore_progress,
     **options: Unpack[ReconstructionFields],
 ) -> Reconstruction:
@@ -78,6 +79,8 @@ def reconstruct(
     rgb         (N,3) colours, only with points: bytes, or floats in [0,1]
     preset, resolution, device, progress
                 as of `mesh_from_points`
+    generator   address of a generator, such as "http://127.0.0.1:8080", for the preset "generate" and one photo
+                (docs/models.md)
     target      device class whose budget the levels of detail must meet: "quest3", "quest2", "web", "archive"
     cut         what to keep: "object", without floor and surroundings; "scene"; "auto", the object if the photos were
                 taken around one
@@ -99,7 +102,9 @@ def reconstruct(
     """
     reading = reading_of(options.get("columns", ""), options.get("unit", ""))
     with opened(source, rgb, reading) as capture:
-        made = run_pipeline(capture, preset, options, resolution=resolution, device=device, watch=progress)
+        made = run_pipeline(
+            capture, preset, options, resolution=resolution, device=device, generator=generator, watch=progress
+        )
     return reconstruction_of(made)
 
 

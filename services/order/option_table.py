@@ -18,6 +18,9 @@ unless views saw through; all that no view saw through, also the ends of tubes a
 VisibilityName = Literal["private", "unlisted", "public"]
 """Who may read the asset besides its tenant; storage/catalogue/visibility.py says more."""
 
+GENERATE = "generate"
+"""Preset by which a generator makes the object in one photo up, where the worker has one (EDGE_GENERATOR)."""
+
 CutName = Literal["", Cut]
 FillName = Literal["", Fill]
 

@@ -17,12 +17,13 @@ FOLDER = Path(presets.__file__).parent / "presets"
 
 
 def test_every_preset_loads_and_the_literature_comes_last() -> None:
-    assert preset_names() == ("draft", "standard", "fine", "splats", "scene", "scene-tiles", *LITERATURE)
+    assert preset_names() == ("draft", "standard", "fine", "splats", "scene", "scene-tiles", "generate", *LITERATURE)
     for name in preset_names():
         preset = load_preset(name)
         assert preset.name == name
         assert preset.summary
-        assert (preset.fit is None) == (name in ("draft", "scene-tiles"))
+        assert (preset.fit is None) == (name in ("draft", "scene-tiles", "generate"))
+        assert preset.generates == (name == "generate")
         assert preset.literature == (name in LITERATURE)
         assert bool(preset.takes) == preset.literature
 

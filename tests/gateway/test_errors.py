@@ -57,6 +57,7 @@ async def test_what_the_framework_refuses(client: httpx.AsyncClient) -> None:
         ({"capture": "cap_1", "asset_key": "-x"}, 422, "KEY_INVALID"),
         ({"capture": "cap_1", "asset_key": "a/b"}, 422, "KEY_INVALID"),
         ({"capture": "cap_1", "asset_key": "dress", "preset": "nope"}, 422, "PRESET_UNKNOWN"),
+        ({"capture": "cap_1", "asset_key": "dress", "preset": "generate"}, 422, "GENERATOR_ABSENT"),
         ({"capture": "cap_2", "asset_key": "dress"}, 404, "CAPTURE_UNKNOWN"),
         ({"capture": "../../etc/passwd", "asset_key": "dress"}, 404, "CAPTURE_UNKNOWN"),
         ({"capture": "", "asset_key": "dress"}, 404, "CAPTURE_UNKNOWN"),

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from capture2vr.cli.grade_line import grade_line, other_warnings
+from capture2vr.cli.grade_line import grade_line, origin_line, other_warnings
 
 _ROWS = {
     "held_out": ("held-out points", "not used for either surface; if 0, the input points are used instead", "{:,}"),
@@ -80,6 +80,7 @@ def report_page(
             f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>',
             f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style>',
             f"<h1>{title}</h1>",
+            *(f"<p><b>{escape(line)}</b></p>" for line in [origin_line(report["origin"])] if line),
             *_grade(report["quality"].get("grade")),
             *_summary(report),
             *(_figure(state, png) for state, png in pictures.items()),

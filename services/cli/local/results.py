@@ -10,7 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from capture2vr.cli.grade_line import grade_line, other_warnings
+from capture2vr.cli.grade_line import grade_line, origin_line, other_warnings
 from capture2vr.cli.local.reference_mesh import read_mesh
 from capture2vr.cli.local.report import report_page
 from capture2vr.cli.progress import console, warn
@@ -137,6 +137,8 @@ def print_result(out: Path, report: dict[str, Any]) -> None:
     quality, seconds = report["quality"], report["seconds"]
     size = " × ".join(f"{side:.3g}" for side in report["size_m"])
     lods = ", ".join(f"{lod['triangles']:,}" for lod in report["lods"])
+    if line := origin_line(report["origin"]):
+        console.print(line)
     if grade := quality.get("grade"):
         console.print(grade_line(grade))
     console.print(

@@ -21,6 +21,7 @@ from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.engine.nouns import OpenEngine
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
+from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
@@ -100,7 +101,13 @@ def run_preset(
             capture = open_source(source, Path(scratch))
             job = replace(options.job, cut=options.job.cut or options.job.edits.cut or "auto", preset=preset.name)
             job = replace(job.completed(), names=AssetNames(printable(source.stem)))
-            resources = JobResources(options.device, results.checkpoint, engine=engine, models=_models(options.device))
+            resources = JobResources(
+                options.device,
+                results.checkpoint,
+                engine=engine,
+                models=_models(options.device),
+                generator=_generator(),
+            )
             _reconstruct_into(results, capture, preset, job, resources, tick)
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_error_sentence(error, source)) from error
@@ -172,6 +179,13 @@ def _models(device: str) -> ModelFolder | None:
 
     folder = edge_settings().models
     return ModelFolder(folder, device) if folder else None
+
+
+def _generator() -> GeneratorServer | None:
+    """Return the generator of the setting EDGE_GENERATOR, as a worker does. Raises BadInput for a wrong setting."""
+    from capture2vr.cli.local.edge_settings import edge_settings
+
+    return GeneratorServer.at(edge_settings().generator)
 
 
 def _encoder(target: Target) -> EncodeKtx2 | None:

@@ -112,7 +112,7 @@ def assemble_bundle(
         tick = bar.tick("PACKING")
         files = {f"lod{level}.glb": pack_glb(asset, subject.target) for level, asset in enumerate(assets)}
         costs = [measure_cost(glb) for glb in files.values()]
-        files |= preview_images(assets, last=last, brief=edition.brief, tick=tick)
+        files |= preview_images(assets, last=last, brief=edition.brief, mark=_mark_of(subject), tick=tick)
         files |= splats
         filled = surface.surface.filled_vertices if surface.surface.filled.any() else None
         files["mesh.ply"] = ply_bytes(coloured.full, filled=filled, offset=subject.points.offset)
@@ -140,6 +140,11 @@ def assemble_bundle(
     if failed:
         raise failed
     require_budget(subject.target, costs)
+
+
+def _mark_of(subject: AssetSubject) -> str:
+    """The word that the preview images show of what a generator made up; "" of anything else."""
+    return subject.source.origin if subject.source.generated else ""
 
 
 def _beside_photos(

@@ -104,20 +104,23 @@ def pack_glb(asset: Mesh | TexturedMesh, target: Target) -> bytes:
 
 
 def preview_images(
-    levels: Sequence[Mesh | TexturedMesh], *, last: bool, brief: bool = False, tick: Tick
+    levels: Sequence[Mesh | TexturedMesh], *, last: bool, brief: bool = False, mark: str = "", tick: Tick
 ) -> dict[str, bytes]:
     """Render the preview images, by file name: contact sheet and thumbnail. For the job's last bundle also the turning
     preview and the USDZ file for iOS, which take two seconds. The middle level is fine enough for the small images, and
-    for the contact sheet of a bundle that is brief, of half the side: rendering it takes half a second less."""
+    for the contact sheet of a bundle that is brief, of half the side: rendering it takes half a second less. mark: a
+    word across the foot of all of them; "": none"""
     middle = levels[len(levels) // 2]
     drawn, turned = shared_ticks(tick, 2)
     makers: dict[str, Callable[[], bytes]] = {
-        "preview.png": partial(render_sheet, middle if brief else levels[0], size=256 if brief else 512, tick=drawn),
-        "thumbnail.webp": partial(thumbnail, middle),
+        "preview.png": partial(
+            render_sheet, middle if brief else levels[0], size=256 if brief else 512, mark=mark, tick=drawn
+        ),
+        "thumbnail.webp": partial(thumbnail, middle, mark=mark),
     }
     if last:
         makers |= {
-            "turning.webp": partial(turning_preview, middle, tick=turned),
+            "turning.webp": partial(turning_preview, middle, mark=mark, tick=turned),
             "asset.usdz": partial(to_phone_usdz, middle),
         }
     return dict(zip(makers, in_threads(lambda make: make(), list(makers.values())), strict=True))

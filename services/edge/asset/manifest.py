@@ -13,7 +13,7 @@ from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.asset.grade import Grade, grade_asset
 from capture2vr.edge.asset.photo_check import PhotoCheck
 from capture2vr.edge.asset.target import Cost, Target
-from capture2vr.edge.capture_to_points import CaptureFacts
+from capture2vr.edge.capture.facts import CaptureFacts
 from capture2vr.edge.certificate import Certificate, Evidence
 from capture2vr.edge.mesh.fill_gaps import FilledMesh
 from capture2vr.edge.mesh.nouns import Mesh
@@ -184,7 +184,7 @@ def build_manifest(
             "up": _up_source(points),
             "cut": None if points.cut is None else asdict(points.cut),
         },
-        "origin": "guess" if source.kind == "image" else "measured",
+        "origin": source.origin,
         "confidence": round(float(points.confidence[points.measured].mean()), 3),
         "points": int(points.measured.sum()) + quality["held_out"],
         "anchors": {"xyz_m": anchors.ravel().tolist(), "rgb": anchor_colours.ravel().tolist()},

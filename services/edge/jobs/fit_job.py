@@ -9,14 +9,11 @@ from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import replace
 
 from capture2vr.edge.api import edge_pb2 as pb
-from capture2vr.edge.engine.nouns import Needs
 from capture2vr.edge.errors import EdgeError
-from capture2vr.edge.export.ktx2 import EncodeKtx2
 from capture2vr.edge.field.device import Device
 from capture2vr.edge.jobs.available_presets import capabilities_of
 from capture2vr.edge.jobs.job_process import Done, JobProcess, Kept, MadeBundle
 from capture2vr.edge.jobs.job_task import Machine, fit_bytes, too_large
-from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.preset import AUTOMATIC, Preset
 from capture2vr.edge.worker.capabilities import Capabilities
 from capture2vr.edge.worker.coded_messages import coded_progress, coded_published
@@ -41,9 +38,7 @@ class FieldFitter:
 
     presets  by name, the default first
     policy   by which it publishes
-    encode   encoder of KTX2 textures; without it, targets that want KTX2 are refused
-    engine   works at the tiles of large scenes: the setting EDGE_ENGINE, and a job's room; None: the job's process
-    models   learned models that may help; None: none
+    machine  what its jobs may use; None: the device and the memory alone
     """
 
     def __init__(
@@ -53,12 +48,10 @@ class FieldFitter:
         device: Device,
         memory: MemoryBudget,
         policy: PublishPolicy = DEFAULT_POLICY,
-        encode: EncodeKtx2 | None = None,
-        engine: tuple[str, Needs] | None = None,
-        models: ModelFolder | None = None,
+        machine: Machine | None = None,
     ) -> None:
         self.store = store
-        self.machine = Machine(device.name, memory.total_bytes, encode, engine, models)
+        self.machine = machine or Machine(device.name, memory.total_bytes)
         self._policy = policy
         self.presets = presets
         self.device = device
@@ -66,8 +59,11 @@ class FieldFitter:
 
     @property
     def offer(self) -> Capabilities:
-        """The presets that fit in the memory budget, the device and the options that it has."""
-        offer = capabilities_of(self.presets, self.device, self._memory.total_bytes)
+        """The presets that fit in the memory budget, the device and the options that it has. What asks a generator is
+        offered where there is one."""
+        has_generator = self.machine.generator is not None
+        presets = {name: each for name, each in self.presets.items() if has_generator or not each.generates}
+        offer = capabilities_of(presets, self.device, self._memory.total_bytes)
         return replace(offer, ktx2=self.machine.encode is not None)
 
     def publish_all(self, process: JobProcess, request: ReconstructionRequest, report: Report) -> pb.Finished:

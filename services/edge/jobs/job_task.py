@@ -13,6 +13,7 @@ from google.protobuf.message import Message
 
 from capture2vr.edge.engine.nouns import Needs
 from capture2vr.edge.export.ktx2 import EncodeKtx2
+from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.preset import AUTOMATIC, Preset, memory_bytes
 from capture2vr.order.job_options import JobOptions
@@ -31,6 +32,7 @@ class Machine:
     encode        encoder of KTX2 textures; None: targets that want them are refused
     engine        the setting EDGE_ENGINE, which works at the tiles of large scenes, and the room of one job there
     models        learned models that its operator has added; None: none
+    generator     that its operator has named; None: none
     """
 
     device: str
@@ -38,6 +40,7 @@ class Machine:
     encode: EncodeKtx2 | None = None
     engine: tuple[str, Needs] | None = None
     models: ModelFolder | None = None
+    generator: GeneratorServer | None = None
 
 
 @dataclass(frozen=True, slots=True)

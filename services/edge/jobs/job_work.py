@@ -24,6 +24,7 @@ from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.asset.manifest import anchors_m, asset_frame
 from capture2vr.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepare, preview_share
 from capture2vr.edge.engine.address import engine_for_parts
+from capture2vr.edge.generated.to_points import generator_of
 from capture2vr.edge.job_resources import JobResources
 from capture2vr.edge.jobs.job_task import BUNDLE, MANIFEST, JobTask, on_wire
 from capture2vr.edge.jobs.points_archive import read_prepared
@@ -117,7 +118,13 @@ class _Job:
         seconds = time.perf_counter() - began
         machine = task.machine
         steps = prepare(
-            capture, self._bar, task.options, refines=task.trains, device=machine.device, models=machine.models
+            capture,
+            self._bar,
+            task.options,
+            refines=task.trains,
+            device=machine.device,
+            models=machine.models,
+            generator=generator_of(task.preset, machine.generator) if task.preset else None,
         )
         prepared = self._run_to_end(steps)
         self._talk.send({"anchors": on_wire(_anchor_points(prepared.points))})

@@ -24,8 +24,9 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from capture2vr.edge.arrays import Floats
+from capture2vr.edge.capture.facts import CaptureFacts
 from capture2vr.edge.capture.nouns import PictureCamera, ScaleConfidence, UpSource
-from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints
+from capture2vr.edge.capture_to_points import PreparedPoints
 from capture2vr.edge.geodesy.well_known_text import MOST_CHARACTERS, tidy
 from capture2vr.edge.jobs.archived_arrays import invalid, read_array, write_array
 from capture2vr.edge.jobs.archived_views import (

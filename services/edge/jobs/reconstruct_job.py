@@ -21,6 +21,7 @@ from capture2vr.edge.preset import AUTOMATIC
 from capture2vr.edge.worker.capabilities import Capabilities
 from capture2vr.edge.worker.job_request import ReconstructionRequest
 from capture2vr.edge.worker.job_run import Report
+from capture2vr.order.option_table import GENERATE
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.downloads import DownloadOrder, StoredDownload
@@ -74,9 +75,8 @@ class Reconstructor:
         """
         options = request.options
         request = replace(request, options=replace(options, collection=options.collection or self._collection))
-        central = (
-            None if request.prepared else self._central
-        )  # prepared points are fitted here: none is forwarded twice
+        # Prepared points are fitted here: none is forwarded twice. What a generator made takes no training.
+        central = None if request.prepared or request.options.preset == GENERATE else self._central
         if central and (finished := resume(central, request, report)) is not None:
             return finished
         task = self._task(archive, request, scratch, checkpoint, saves=central is not None)

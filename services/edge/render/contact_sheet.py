@@ -10,6 +10,7 @@ from capture2vr.edge.arrays import Bytes, Floats, Tick, no_tick
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.parallel import in_threads
 from capture2vr.edge.render.renderer import RenderedView, RenderMesh, place_cameras, render_view
+from capture2vr.edge.render.watermark import watermark
 from capture2vr.edge.srgb import to_linear, to_srgb
 
 _AZIMUTHS = (25.0, 115.0, 205.0, 295.0)  # degrees about Y from +Z: front, right, back, left, each turned to show depth
@@ -17,10 +18,11 @@ _ELEVATION = 15.0  # degrees: high enough to look into an open neck, low enough 
 _BACKDROP = (232, 208)  # sRGB grey at the top and at the bottom of a view
 
 
-def render_sheet(mesh: Mesh | TexturedMesh, *, size: int = 512, tick: Tick = no_tick) -> bytes:
+def render_sheet(mesh: Mesh | TexturedMesh, *, size: int = 512, mark: str = "", tick: Tick = no_tick) -> bytes:
     """Render a PNG of (2·size)² pixels: the mesh, Y up, from front, right, back and left, all at one scale.
 
-    `tick` is called before the views and after each, with the fraction done. Raises ValueError if there are no faces.
+    mark: a word across the foot, such as that it is generated; "": none. `tick` is called before the views and after
+    each, with the fraction done. Raises ValueError if there are no faces.
     """
     from PIL import Image
 
@@ -30,7 +32,7 @@ def render_sheet(mesh: Mesh | TexturedMesh, *, size: int = 512, tick: Tick = no_
     views = in_threads(lambda camera: _over_backdrop(render_view(subject, camera, size)), around, tick)
     sheet = np.concatenate([np.concatenate(views[:2], axis=1), np.concatenate(views[2:], axis=1)])
     out = BytesIO()
-    Image.fromarray(sheet).save(out, "PNG", compress_level=6)
+    Image.fromarray(watermark(sheet, mark)).save(out, "PNG", compress_level=6)
     return out.getvalue()
 
 

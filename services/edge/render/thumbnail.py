@@ -13,7 +13,8 @@ import numpy as np
 from capture2vr.edge.arrays import Bytes, Tick, no_tick, part_of
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.parallel import in_threads
-from capture2vr.edge.render.renderer import RenderedView, RenderMesh, place_cameras, render_view
+from capture2vr.edge.render.renderer import Camera, RenderedView, RenderMesh, place_cameras, render_view
+from capture2vr.edge.render.watermark import watermark
 from capture2vr.edge.srgb import to_srgb
 
 THUMBNAIL_SIDE, THUMBNAIL_BYTES = 256, 15_000  # pixels, bytes: a page of a hundred thumbnails is 1.5 MB at most
@@ -34,27 +35,32 @@ _PROBES = 4  # evenly spread frames from which the size of all is estimated
 _SPARE = 0.9  # of the bytes: what the estimate may use, for it is not exact
 
 
-def thumbnail(mesh: Mesh | TexturedMesh) -> bytes:
+def thumbnail(mesh: Mesh | TexturedMesh, *, mark: str = "") -> bytes:
     """Render a WebP of 256² pixels with alpha: the mesh in three-quarter view, Y up; at most 15 KB.
 
-    Meant for LOD1 or LOD2: more faces would not show. Raises ValueError if there are no faces.
+    Meant for LOD1 or LOD2: more faces would not show. mark: a word across the foot, "": none. Raises ValueError if
+    there are no faces.
     """
     subject = RenderMesh.of(mesh, THUMBNAIL_SIDE, sky_rays=_SKY_RAYS)
     (camera,) = place_cameras(subject, (_AZIMUTH,), _ELEVATION)
-    return _compress([_rgba(render_view(subject, camera, THUMBNAIL_SIDE))], THUMBNAIL_BYTES)
+    return _compress([watermark(_rgba(render_view(subject, camera, THUMBNAIL_SIDE)), mark)], THUMBNAIL_BYTES)
 
 
-def turning_preview(mesh: Mesh | TexturedMesh, *, tick: Tick = no_tick) -> bytes:
+def turning_preview(mesh: Mesh | TexturedMesh, *, mark: str = "", tick: Tick = no_tick) -> bytes:
     """Render an animated WebP of 192² pixels with alpha that loops for ever: the mesh turning about Y; at most 200 KB.
 
-    Meant for LOD1 or LOD2. `tick` is called before the frames and after each, with the fraction done. Raises ValueError
-    if there are no faces.
+    Meant for LOD1 or LOD2. mark: a word across the foot, "": none. `tick` is called before the frames and after each,
+    with the fraction done. Raises ValueError if there are no faces.
     """
     subject = RenderMesh.of(mesh, TURNING_SIDE, sky_rays=_SKY_RAYS)
     tick(0)
     azimuths = [_AZIMUTH - 360 * frame / _FRAMES for frame in range(_FRAMES)]
     around = place_cameras(subject, azimuths, _ELEVATION)
-    frames = in_threads(lambda camera: _rgba(render_view(subject, camera, TURNING_SIDE)), around, part_of(tick, 0, 0.8))
+
+    def draw(camera: Camera) -> Bytes:
+        return watermark(_rgba(render_view(subject, camera, TURNING_SIDE)), mark)
+
+    frames = in_threads(draw, around, part_of(tick, 0, 0.8))
     animation = _compress(frames, TURNING_BYTES)
     tick(1)
     return animation

@@ -8,7 +8,6 @@ it is follows from the kind of its outline alone.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,26 +18,21 @@ from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.models.nouns import UsedModel
 from capture2vr.edge.points.nouns import TextureView
 from capture2vr.edge.render.sample_image import bilinear
-from capture2vr.edge.single_photo.cutout import CutOut, cut_out, rotate_clockwise
+from capture2vr.edge.single_photo.cutout import cut_out
 from capture2vr.edge.single_photo.garment import open_ends
 from capture2vr.edge.single_photo.membrane import Membrane, closed_mesh, inflate
 from capture2vr.edge.single_photo.outline_kind import OutlineKind, inflation_of
+from capture2vr.edge.single_photo.photo_window import DISTANCE, GRID, SIDE, PhotoWindow
 from capture2vr.edge.single_photo.printed_views import PrintedPicture, printed_pictures
 from capture2vr.order.photo_box import PhotoBox
 
-GRID = 150
-"""Pixels along the longer side of the mask that is inflated."""
 _PRINT_PX = 2048
 """Most pixels along the longer side of the printed pictures: as many as the largest texture has."""
-SIDE = 186
-"""Pixels along the sides of the square around it: textures take little from a picture's outer 6 %."""
 _BEYOND = 14.0
 """Pixels that a garment's sheets go on beyond its openings before they are cut: there their edge is not rounded."""
 _PRINTED = 2
 """Times finer is the mask of the printed pictures."""
 _BACK = "{} (back)"
-_DISTANCE = 4.0
-"""Distance of the camera, in longer sides of the relief: nobody knows it, and from far away outlines stay true."""
 MOST_CONFIDENT = 0.2
 """The confidence of a guessed point, of 1: nothing was measured."""
 
@@ -79,7 +73,7 @@ def make_relief(
     tick(0.0)
     cut = cut_out(photo, box, models, part_of(tick, 0.0, 0.5))
     tick(0.5)
-    window = _Window.around(photo, cut.bounds())
+    window = PhotoWindow.around(photo, cut.bounds())
     mask = window.mask_of(cut, SIDE)
     kind, inflation = inflation_of(mask)
     beyond = open_ends(mask, _BEYOND) if kind == "garment" else np.zeros_like(mask)
@@ -88,66 +82,14 @@ def make_relief(
     surface = surface[~_in(_cut_away(mask, beyond), surface)]
     membrane = replace(membrane, squared=np.where(beyond, -1.0, membrane.squared))
     tick(0.7)
-    views = _views(printed_pictures(window.load(photo), window.mask_of(cut, _PRINTED * SIDE)), membrane, photo.name)
+    views = _views(
+        printed_pictures(window.load(photo, _PRINT_PX), window.mask_of(cut, _PRINTED * SIDE)), membrane, photo.name
+    )
     rgb = _colours(surface, views)
     tick(1.0)
     return Relief(
         _as_seen(surface) / GRID, rgb, views, kind, mask, not beyond.any(), warnings=cut.warnings, models=cut.models
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Window:
-    """The square part of an upright photo that is printed: the thing and a margin, which may lie beyond the photo.
-
-    left, top, side  whole pixels of the upright photo; width, height: all of the photo's
-    """
-
-    left: int
-    top: int
-    side: int
-    width: int
-    height: int
-
-    @classmethod
-    def around(cls, photo: Photo, bounds: PhotoBox) -> _Window:
-        width, height = photo.size if photo.turns % 2 == 0 else photo.size[::-1]
-        longer = max(bounds.width * width, bounds.height * height)
-        side = max(4, round(longer * SIDE / GRID))
-        middle = (bounds.left + bounds.right) / 2 * width, (bounds.top + bounds.bottom) / 2 * height
-        return cls(round(middle[0] - side / 2), round(middle[1] - side / 2), side, width, height)
-
-    def mask_of(self, cut: CutOut, pixels: int) -> Bools:
-        """The mask of what was cut out, pixels × pixels; its border is free."""
-        rows, columns = cut.mask.shape
-        place = self.left / self.width, self.top / self.height, self.side / self.width, self.side / self.height
-        area = cut.area
-        by = place[2] / area.width * columns / pixels, place[3] / area.height * rows / pixels
-        start = (place[0] - area.left) / area.width * columns, (place[1] - area.top) / area.height * rows
-        covered = cut.mask.astype(np.float32)
-        soft = np.asarray(cv2.GaussianBlur(covered, (0, 0), max(0.5, max(by) / 2)), np.float32)
-        drawn = _warp(soft, start, by, pixels, cv2.BORDER_CONSTANT)
-        mask = np.asarray(drawn > 0.5)
-        mask[:2] = mask[-2:] = False
-        mask[:, :2] = mask[:, -2:] = False
-        return mask
-
-    def load(self, photo: Photo) -> Bytes:
-        """Load what the photo shows of it, at most `_PRINT_PX` pixels long; its edge's pixels where the photo ends."""
-        side = min(self.side, _PRINT_PX)
-        longest = round(max(photo.size) * side / self.side)
-        upright = rotate_clockwise(photo.load(longest), photo.turns)
-        scale = upright.shape[1] / self.width, upright.shape[0] / self.height
-        start = self.left * scale[0], self.top * scale[1]
-        by = self.side * scale[0] / side, self.side * scale[1] / side
-        return np.asarray(_warp(upright, start, by, side, cv2.BORDER_REPLICATE), np.uint8)
-
-
-def _warp(image: Floats | Bytes, start: tuple[float, float], by: tuple[float, float], side: int, border: int) -> Any:
-    """Resample the square of an image that begins at `start` (x, y) with `by` pixels (x, y) for each new one."""
-    warp = np.array([[by[0], 0, start[0] + by[0] / 2 - 0.5], [0, by[1], start[1] + by[1] / 2 - 0.5]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(image, warp, (side, side), flags=flags, borderMode=border)
 
 
 def _cut_away(mask: Bools, beyond: Bools) -> Bools:
@@ -166,17 +108,17 @@ def _in(mask: Bools, surface: Floats) -> Bools:
 
 def _as_seen(surface: Floats) -> Floats:
     """Move places (N,3) in pixels so that the camera of their side sees each in the pixel that it was made from."""
-    nearer = 1 - np.abs(surface[:, 2:]) / (_DISTANCE * GRID)
+    nearer = 1 - np.abs(surface[:, 2:]) / (DISTANCE * GRID)
     return np.concatenate([surface[:, :2] * nearer, surface[:, 2:]], axis=1)
 
 
 def _views(pictures: tuple[PrintedPicture, ...], membrane: Membrane, name: str) -> tuple[TextureView, TextureView]:
     """Both pictures with their cameras and depth."""
-    focal, middle = _DISTANCE * GRID, (SIDE - 1) / 2
+    focal, middle = DISTANCE * GRID, (SIDE - 1) / 2
     camera = Intrinsics(focal, focal, middle, middle, SIDE, SIDE)
-    depth = np.where(membrane.squared > 0, _DISTANCE - membrane.height / GRID, 0).astype(np.float32)
+    depth = np.where(membrane.squared > 0, DISTANCE - membrane.height / GRID, 0).astype(np.float32)
     front, back = np.diag([1.0, -1, -1, 1]), np.diag([-1.0, -1, 1, 1])
-    front[2, 3], back[2, 3] = _DISTANCE, -_DISTANCE
+    front[2, 3], back[2, 3] = DISTANCE, -DISTANCE
     return (
         TextureView(camera, front, pictures[0], depth.copy, name),
         TextureView(camera, back, pictures[1], np.ascontiguousarray(depth[:, ::-1]).copy, _BACK.format(name)),

@@ -8,12 +8,10 @@ from capture2vr.edge.arrays import Tick, no_tick
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.points.nouns import CutReport, Points
+from capture2vr.edge.single_photo.photo_window import USUAL_M
 from capture2vr.edge.single_photo.relief import MOST_CONFIDENT, make_relief
 from capture2vr.order.photo_box import PhotoBox
 from capture2vr.sentences.sentence import say
-
-_USUAL_M = 0.4
-"""Metres of a thing that fills half of a picture taken at arm's length: an assumption, not a measurement."""
 
 
 def to_points(
@@ -33,7 +31,7 @@ def to_points(
         xyz=relief.xyz,
         rgb=relief.rgb,
         confidence=np.full(len(relief.xyz), MOST_CONFIDENT, np.float32),
-        metres_per_unit=_USUAL_M,
+        metres_per_unit=USUAL_M,
         scale_confidence="unknown",
         up=np.array([0.0, 1.0, 0.0]),
         warnings=capture.warnings + relief.warnings,

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from capture2vr.edge.api import edge_pb2 as pb
+from capture2vr.order.option_table import GENERATE
 
-POINTS_VERSION = 12
+POINTS_VERSION = 13
 """Version of the archives of prepared points (jobs/points_archive.py). Workers compare theirs before any are sent."""
 
 
@@ -47,11 +48,12 @@ class Capabilities:
         return any(each.trained for each in (*self.presets, *self.unavailable) if each.name == preset)
 
     def with_central(self, central: str, presets: Sequence[pb.Preset], *, takes_jobs: bool) -> Capabilities:
-        """Add the presets of central after this worker's own; a withheld preset that central has is offered too.
+        """Add the presets of central after this worker's own; a withheld preset that central has is offered too. A
+        generator makes points, which are made here: central's is none of this worker's.
 
         takes_jobs  whether central takes jobs now; if not, its presets are `unavailable`
         """
-        theirs = tuple(each for each in presets if not self.has(each.name))
+        theirs = tuple(each for each in presets if not self.has(each.name) and each.name != GENERATE)
         names = {each.name for each in theirs}
         withheld = tuple(each for each in self.withheld if each.name not in names)
         if not takes_jobs:

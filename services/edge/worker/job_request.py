@@ -13,7 +13,9 @@ from capture2vr.edge.asset.target import require_encoder, target_of
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.worker.capabilities import Capabilities
 from capture2vr.order.job_options import InvalidOption, JobOptions
+from capture2vr.order.option_table import GENERATE
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
 from capture2vr.storage.tenant_store import DEFAULT_TENANT, valid_tenant
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
@@ -128,5 +130,7 @@ def _require_offered(preset: str, offer: Capabilities) -> None:
     if preset in {each.name for each in offer.unavailable}:
         fault = f"preset {preset} is offered only by central at {offer.central}, which takes no jobs now"
         raise RefusedError(grpc.StatusCode.UNAVAILABLE, "CENTRAL_UNAVAILABLE", fault)
+    if preset == GENERATE not in offer.names:
+        raise invalid("GENERATOR_ABSENT", f"{say('generator_absent')}; {say('set_edge_generator')}")
     if preset not in offer.names:
         raise invalid("PRESET_UNKNOWN", f"there is no preset {preset}; use one of {names}")

@@ -10,6 +10,7 @@ from pydantic import ByteSize, Field, SecretStr, field_validator
 from pydantic_settings import SettingsConfigDict
 
 from capture2vr.edge.engine.address import check_engine
+from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.process.grpc_security import (
     ClientCredentials,
     ServerSecurity,
@@ -49,6 +50,7 @@ class EdgeSettings(StrictSettings):
     presets: Path | None = Field(None, description="Folder of TOML files: the operator's presets beside the product's.")
     ktx2: Path | None = Field(None, description="Folder with npm's ktx2-encoder; none: targets with -ktx2 are refused.")
     models: Path | None = Field(None, description="Folder of learned models (`capture2vr models`); none: none is used.")
+    generator: str = Field("", description="http://host:port of a generator, for the preset generate; empty: none.")
     engine: str = Field("local", description="Where tasks run that are many: local, or a Ray cluster, ray://host:port.")
     central: str = Field("", description="host:port of a worker that fits the fields; empty: they are fitted here.")
     tls_cert: Path | None = Field(None, description="The worker's certificate (PEM, with its chain); none: no TLS.")
@@ -66,6 +68,12 @@ class EdgeSettings(StrictSettings):
     @classmethod
     def _an_engine(cls, value: str) -> str:
         return check_engine(value)
+
+    @field_validator("generator")
+    @classmethod
+    def _an_origin(cls, value: str) -> str:
+        GeneratorServer.at(value)
+        return value
 
     @field_validator("central")
     @classmethod

@@ -44,6 +44,7 @@ from capture2vr.gateway.waiting import happens_within
 from capture2vr.gateway.workers.worker_types import WorkerPreset
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.edits import InvalidEdits, json_schema
+from capture2vr.order.option_table import GENERATE
 from capture2vr.sentences.sentence import say
 from capture2vr.storage.catalogue.entry import read_entry, valid_key
 from capture2vr.storage.catalogue.faults import CatalogueFault
@@ -328,11 +329,14 @@ async def _require_capture(capture: str, request: Request) -> None:
 async def _known_preset(preset: str, request: Request) -> str:
     """Return the preset, or the default for "".
 
-    Raises Problem PRESET_UNKNOWN for one that no worker offers, PRESET_NOT_ALLOWED for one that is not for the caller.
+    Raises Problem PRESET_UNKNOWN for one that no worker offers, GENERATOR_ABSENT for the one that needs a generator,
+    PRESET_NOT_ALLOWED for one that is not for the caller.
     """
     known = await _known_presets(request)
     if preset and preset not in known:
         known = await _known_presets(request, refresh=True)  # a worker that started since then may offer more
+    if preset == GENERATE not in known:
+        raise Problem(422, "GENERATOR_ABSENT", say("generator_absent"), hints=(say("set_edge_generator"),))
     if preset and preset not in known:
         names = ", ".join(known)
         detail = say("no_preset_presets", preset=preset, names=names)

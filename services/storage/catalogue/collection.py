@@ -94,7 +94,7 @@ def row_of(entry: Entry) -> Row:
     return Row(
         key=entry.key,
         label=document.get("label") or "",
-        labels=tuple(document.get("labels") or ()),
+        labels=entry.tags,
         version=entry.version,
         state=REMOVED if entry.removed else entry.state,
         updated=int(updated.timestamp()),

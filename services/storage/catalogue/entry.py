@@ -33,6 +33,9 @@ _PREFIX, _SUFFIX = "catalog/", ".json"
 
 DEFAULT_COLLECTION = "default"
 
+GENERATED = "generated"
+"""Origin in the manifest of what a generator made up, and the label of its assets in lists."""
+
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -88,6 +91,15 @@ class Entry:
     def names(self) -> AssetNames:
         """What people call the asset."""
         return AssetNames.of(self.document)
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """The labels that lists and Unity's catalogues have: those that people gave, and of what a generator made up
+        that it is generated, which nobody takes away."""
+        given = self.names.labels
+        if self.document.get("origin") != GENERATED:
+            return given
+        return (*(label for label in given if label.casefold() != GENERATED), GENERATED)
 
     @property
     def notes(self) -> tuple[Note, ...]:

@@ -108,7 +108,7 @@ def _unity_asset(found: Entry) -> Asset | None:
     if found.removed or found.held or not lods:
         return None
     files = tuple(LodFile(lod["level"], lod["name"], lod["sha256"], lod["bytes"]) for lod in lods)
-    asset = Asset(found.key, found.version, _labels(found.names.labels), files)
+    asset = Asset(found.key, found.version, _labels(found.tags), files)
     try:
         build_listing(Catalogue("", (asset,)))
     except ValueError as fault:

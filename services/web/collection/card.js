@@ -73,6 +73,7 @@ export class Card {
       const manifest = await loadManifest(this.#collection, this.#row);
       this.#manifest = manifest;
       if (manifest.origin === 'guess') this.#facts.textContent = t('a guess from one photo');
+      if (manifest.origin === 'generated') this.#facts.textContent = t('generated from one photo, not measured');
       const file = PICTURES.map((name) => this.#findFile(name)).find(Boolean);
       if (file) this.#picture.src = await this.#loadUrl(file);
       dataset.picture = file ? file.file : 'none';

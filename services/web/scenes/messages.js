@@ -54,10 +54,19 @@ export function showCaption(items, { title, wanted, failed, gone }) {
   delete dataset.code;
 }
 
+/**
+ * What is said first of a shape that was not measured.
+ * @param {AssetEntry} entry
+ */
+function originText({ origin }) {
+  if (origin === 'generated') return `${t('Generated from one photo, not measured')} · `;
+  return origin === 'guess' ? `${t('A guess from one photo')} · ` : '';
+}
+
 /** @param {AssetEntry} entry */
 function aboutOne(entry) {
   const scale = entry.scale_confidence === 'unknown' ? ` (${t('true size unknown')})` : '';
-  const origin = entry.origin === 'guess' ? `${t('A guess from one photo')} · ` : '';
+  const origin = originText(entry);
   const version = t('{state}, version {version}', { state: stateText(entry.state), version: entry.version });
   return `${origin}${sizeText(entry.size_m)}${scale} · ${trianglesText([entry])} · ${version}`;
 }

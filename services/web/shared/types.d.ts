@@ -114,7 +114,7 @@ export interface AssetEntry {
   label?: string;
   description?: string;
   labels?: string[] | null;
-  origin?: 'measured' | 'guess';
+  origin?: 'measured' | 'guess' | 'generated';
   scale_confidence: string;
   size_m: SizeM;
   lods: LodFile[];
@@ -226,7 +226,7 @@ export interface AnchorPoints {
 
 /** The manifest of one version. A refined version's `quality.preview` has the figures of the preview that it replaced. */
 export interface Manifest {
-  origin?: 'measured' | 'guess';
+  origin?: 'measured' | 'guess' | 'generated';
   capture?: CaptureSummary;
   quality?: QualityFigures & { preview?: QualityFigures };
   anchors?: AnchorPoints;

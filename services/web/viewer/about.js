@@ -131,6 +131,7 @@ function originLines(
   const made = entry.versions?.find(({ version }) => version === entry.version)?.created;
   const { cut, up } = capture;
   return [
+    entry.origin === 'generated' ? t('A generator made its shape up from one photo; nothing of it was measured.') : '',
     captureText(capture),
     cut
       ? t('Kept: {what}; {because}.', {

@@ -138,6 +138,7 @@ export function scaleSentences(entry, manifest) {
   };
   return [
     entry.origin === 'guess' ? t('Its shape is a guess from one photo.') : '',
+    entry.origin === 'generated' ? t('Its shape was generated from one photo: figures say nothing of the object.') : '',
     scales[confidence] ?? scales.unknown,
     point === null ? t('How near its surface is to what was captured is not known.') : surfaceText(confidence),
     manifest.capture?.up === null

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.local.test_run import capture2vr
+from tests.support.generators import boxes, boxes_glb, generator, glb, photo_of
 from tests.support.photos.walkaround import render_walkaround
 
 pytestmark = pytest.mark.slow
@@ -43,6 +44,25 @@ def test_the_setting_of_a_worker_names_the_models_of_a_run_too(tmp_path: Path, m
     assert result.returncode == 0, result.stderr
     assert "without a learned model" in result.stderr
     assert report(tmp_path / "out")["models"] == []
+
+
+def test_a_generator_of_the_setting_makes_it_up_and_the_result_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rgb, mask = photo_of(boxes(), 300)
+    cv2.imwrite(str(tmp_path / "boxes.png"), np.dstack([rgb[..., ::-1], np.where(mask, 255, 0)]).astype(np.uint8))
+    asked = ("run", "boxes.png", "-o", "out", "--preset", "generate", "--resolution", "40")
+    refused = capture2vr(*asked, cwd=tmp_path)
+    assert refused.returncode != 0
+    assert "EDGE_GENERATOR" in refused.stderr
+    assert not (tmp_path / "out").exists()
+    with generator(glb(boxes_glb(turn=120))) as stub:
+        monkeypatch.setenv("EDGE_GENERATOR", stub.url)
+        result = capture2vr(*asked, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "Generated: a generator made this shape up" in result.stdout + result.stderr
+    assert report(tmp_path / "out")["origin"] == "generated"
+    assert "<b>Generated: a generator" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_a_proposal_is_told_with_its_rectangle_and_what_to_do(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from capture2vr.edge.export.ktx2 import VERSION, Ktx2Encoder, Ktx2Error, Ktx2Hea
 from capture2vr.edge.field.device import find_device
 from capture2vr.edge.jobs.available_presets import known_presets
 from capture2vr.edge.jobs.fit_job import FieldFitter
+from capture2vr.edge.jobs.job_task import Machine
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
 from capture2vr.edge.srgb import to_linear, to_srgb
 from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError
@@ -170,7 +171,8 @@ def test_run_looks_for_the_encoder_before_it_reads_the_capture(monkeypatch: pyte
 def test_a_worker_with_an_encoder_takes_such_jobs(ktx2: Ktx2Encoder) -> None:  # noqa: F811
     header = pb.Header(job="job_1", asset_key="dress", target="web-ktx2")
     presets, memory = known_presets(None), MemoryBudget(1 << 40)
-    work = Reconstructor(FieldFitter(MemoryStore(), presets, find_device("cpu"), memory, encode=ktx2))
+    machine = Machine("cpu", memory.total_bytes, ktx2)
+    work = Reconstructor(FieldFitter(MemoryStore(), presets, find_device("cpu"), memory, machine=machine))
     assert ReconstructionRequest.of(header, work.offer).options.target == "web-ktx2"
     with pytest.raises(RefusedError, match="KTX2_UNAVAILABLE"):
         ReconstructionRequest.of(header, replace(work.offer, ktx2=False))

@@ -6,10 +6,17 @@ from pathlib import Path
 
 import pytest
 
+from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.field.device import Device, find_device
+from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.edge.jobs.available_presets import capabilities_of, known_presets
+from capture2vr.edge.jobs.fit_job import FieldFitter
+from capture2vr.edge.jobs.job_task import Machine
 from capture2vr.edge.preset import memory_bytes
+from capture2vr.edge.worker.job_request import ReconstructionRequest, RefusedError
+from capture2vr.edge.worker.memory_budget import MemoryBudget
+from capture2vr.storage.memory import MemoryStore
 
 CPU = Device("cpu", "cpu, 2 cores")
 PLENTY = 1 << 50
@@ -32,6 +39,20 @@ def test_what_never_fits_is_withheld_and_what_trains_nothing_is_not() -> None:
     offer = capabilities_of(known, CPU, memory_bytes(known["draft"], 0))
     assert {"auto", "draft"} <= set(offer.names)
     assert "standard" in {preset.name for preset in offer.withheld}
+
+
+def test_a_generators_preset_is_offered_where_there_is_one_and_never_for_central() -> None:
+    known, memory = known_presets(None), MemoryBudget(PLENTY)
+    without = FieldFitter(MemoryStore(), known, CPU, memory).offer
+    machine = Machine("cpu", PLENTY, generator=GeneratorServer("http://127.0.0.1:1"))
+    having = FieldFitter(MemoryStore(), known, CPU, memory, machine=machine).offer
+    assert set(having.names) - set(without.names) == {"generate"}
+    assert not having.trains("generate")
+    assert not without.with_central("central:1", having.presets, takes_jobs=True).has("generate")
+    header = pb.Header(job="job_1", asset_key="dress", preset="generate")
+    assert ReconstructionRequest.of(header, having).options.preset == "generate"
+    with pytest.raises(RefusedError, match=r"GENERATOR_ABSENT.*EDGE_GENERATOR"):
+        ReconstructionRequest.of(header, without)
 
 
 def test_an_operators_presets_stand_behind_the_products(tmp_path: Path) -> None:

@@ -17,9 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from capture2vr.edge.capture.facts import CaptureFacts
 from capture2vr.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PhotoVerdict, PictureCamera, UpSource
 from capture2vr.edge.capture.photo_copy import encode_copy
-from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints
+from capture2vr.edge.capture_to_points import PreparedPoints
 from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.jobs.archived_views import MOST_VIEWS
 from capture2vr.edge.jobs.points_archive import MOST_POINTS, read_prepared, write_prepared

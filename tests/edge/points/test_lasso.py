@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.cameras.nouns import PhotoView
 from capture2vr.edge.cameras.structure_from_motion import project
+from capture2vr.edge.capture.facts import CaptureFacts
 from capture2vr.edge.capture.nouns import (
     Capture,
     Cloud,
@@ -27,7 +28,7 @@ from capture2vr.edge.capture.nouns import (
     ShownPicture,
 )
 from capture2vr.edge.capture.upright_places import turn_places
-from capture2vr.edge.capture_to_points import CaptureFacts, PreparedPoints, to_points
+from capture2vr.edge.capture_to_points import PreparedPoints, to_points
 from capture2vr.edge.errors import CaptureError, EdgeError
 from capture2vr.edge.jobs.points_archive import read_prepared, write_prepared
 from capture2vr.edge.photos.crop import CropRectangle, crop_photo

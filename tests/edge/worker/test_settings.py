@@ -53,6 +53,15 @@ def test_a_central_is_named_with_its_port(monkeypatch: pytest.MonkeyPatch, addre
     assert EdgeSettings().describe()["EDGE_CENTRAL"] == address
 
 
+def test_a_generator_is_named_by_its_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert EdgeSettings().generator == ""
+    monkeypatch.setenv("EDGE_GENERATOR", "http://127.0.0.1:8080")
+    assert EdgeSettings().generator == "http://127.0.0.1:8080"
+    monkeypatch.setenv("EDGE_GENERATOR", "127.0.0.1:8080/generate")
+    with pytest.raises(SettingsError, match=r"EDGE_GENERATOR.*must be http://host:port"):
+        EdgeSettings()
+
+
 @pytest.mark.parametrize("device", ["cpu", "cuda", "cuda:3", "auto"])
 def test_devices_have_torchs_names(monkeypatch: pytest.MonkeyPatch, device: str) -> None:
     monkeypatch.setenv("EDGE_DEVICE", device)

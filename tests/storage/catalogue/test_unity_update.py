@@ -55,6 +55,16 @@ def test_what_is_published_is_listed_with_its_files(store: MemoryStore) -> None:
     assert listed(store)["dress"].version == 2
 
 
+def test_what_was_generated_has_a_label_that_says_so_and_nobody_takes_it_away(store: MemoryStore) -> None:
+    made = bundle("preview")
+    named = {**made.manifest, "labels": ["Generated", "red"]}
+    publish(replace(made, manifest={**named, "origin": "generated"}), store, key="dress")
+    assert listed(store)["dress"].labels == ("generated", "red")
+    assert read_entry(store, "dress").names.labels == ("Generated", "red")
+    publish(replace(bundle("refined", "measured"), manifest={**named, "origin": "measured"}), store, key="chair")
+    assert listed(store)["chair"].labels == ("Generated", "red")
+
+
 def test_a_catalogue_whose_ids_have_no_versions_is_made_anew(store: MemoryStore) -> None:
     """As it was written before: two versions of an asset had one id."""
     publish(bundle("preview"), store, key="dress")

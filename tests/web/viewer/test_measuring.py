@@ -137,6 +137,7 @@ def test_keys_are_enough(page: Page, site: Site) -> None:
         ({"scale_confidence": "estimated", "edits": {"length": {"start": [0, 0, 0], "end": [1, 0, 0], "metres": 0.2}}},
          "± ", "a length of 20 cm between two points that a person gave"),
         ({"origin": "guess", "quality": {}}, "10 cm", "Its shape is a guess from one photo."),
+        ({"origin": "generated", "quality": {}}, "10 cm", "Its shape was generated from one photo"),
     ],
 )  # fmt: skip
 def test_what_is_not_known_of_the_scale_is_said(

@@ -68,13 +68,19 @@ def test_points_stand_for_the_thing_until_its_mesh_is_there(page: Page, site: Si
     assert drawn(stage(page)) > 0.05
 
 
-def test_a_guess_is_called_one(page: Page, site: Site, store: LocalStore, bundle: Bundle) -> None:
-    publish(replace(bundle, manifest={**bundle.manifest, "origin": "guess"}), store, key="guessed", job="one")
+@pytest.mark.parametrize(
+    ("origin", "said"),
+    [("guess", "A guess from one photo"), ("generated", "Generated from one photo, not measured")],
+)
+def test_what_was_not_measured_says_so(
+    page: Page, site: Site, store: LocalStore, bundle: Bundle, origin: str, said: str
+) -> None:
+    publish(replace(bundle, manifest={**bundle.manifest, "origin": origin}), store, key="guessed", job="one")
     page.goto(f"{site.url}/view/guessed")
-    expect(page.locator("#said")).to_contain_text("A guess from one photo")
+    expect(page.locator("#said")).to_contain_text(said)
     page.goto(f"{site.url}/view/{KEY}")
     expect(page.locator("#said")).to_contain_text("triangles")
-    expect(page.locator("#said")).not_to_contain_text("guess")
+    expect(page.locator("#said")).not_to_contain_text("one photo")
 
 
 def test_a_level_that_was_lost_on_the_way_is_fetched_again(page: Page, site: Site) -> None:
