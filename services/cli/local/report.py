@@ -80,7 +80,7 @@ def report_page(
             f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>',
             f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style>',
             f"<h1>{title}</h1>",
-            *(f"<p><b>{escape(line)}</b></p>" for line in [origin_line(report["origin"])] if line),
+            *_bold(origin_line(report["origin"])),
             *_grade(report["quality"].get("grade")),
             *_summary(report),
             *(_figure(state, png) for state, png in pictures.items()),
@@ -156,8 +156,12 @@ def _compared_photos(compared: Mapping[str, bytes]) -> Iterator[str]:
 
 def _grade(grade: Mapping[str, str] | None) -> Iterator[str]:
     """Yield how good the asset is, where photos tell."""
-    if grade:
-        yield f"<p><b>{escape(grade_line(grade))}</b></p>"
+    yield from _bold(grade_line(grade) if grade else "")
+
+
+def _bold(line: str) -> Iterator[str]:
+    if line:
+        yield f"<p><b>{escape(line)}</b></p>"
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:

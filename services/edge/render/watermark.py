@@ -23,9 +23,10 @@ def watermark(picture: Bytes, word: str) -> Bytes:
     (width, height), below = cv2.getTextSize(word, _FONT, scale, thick)
     pad = height // 2
     left, foot = (side - width) // 2, side - below - pad // 2
-    marked = np.ascontiguousarray(picture)
-    full = (255,) * (picture.shape[2] - 3)
-    paper, ink = ((level,) * 3 + full for level in (_PAPER, _INK))
-    cv2.rectangle(marked, (left - pad, foot - height - pad), (left + width + pad, side), paper, cv2.FILLED)
-    cv2.putText(marked, word, (left, foot), _FONT, scale, ink, thick, cv2.LINE_AA)
+    top, right = foot - height - pad, left + width + pad
+    rgb = np.ascontiguousarray(picture[..., :3])
+    cv2.rectangle(rgb, (left - pad, top), (right, side), (_PAPER,) * 3, cv2.FILLED)
+    cv2.putText(rgb, word, (left, foot), _FONT, scale, (_INK,) * 3, thick, cv2.LINE_AA)
+    marked = np.dstack([rgb, picture[..., 3:]])
+    marked[top:, left - pad : right + 1, 3:] = 255
     return marked

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.local.test_run import capture2vr
-from tests.support.generators import boxes, boxes_glb, generator, glb, photo_of
+from tests.support.photos.generators import boxes, boxes_glb, generator, glb, photo_of
 from tests.support.photos.walkaround import render_walkaround
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.generated.align import Pose, align
 from capture2vr.edge.points.unit import unit_frame
-from tests.support.generators import boxes, photo_of, points_on
+from tests.support.photos.generators import boxes, photo_of, points_on
 
 SIDE = 186
 

@@ -15,7 +15,7 @@ import pytest
 
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.generated.server import GeneratorServer
-from tests.support.generators import Tell, boxes_glb, generator, glb, write
+from tests.support.photos.generators import Tell, boxes_glb, generator, glb, write
 
 PNG = b"\x89PNG\r\n\x1a\n\r\n--not a boundary"
 GLB = boxes_glb()

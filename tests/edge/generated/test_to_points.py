@@ -23,7 +23,7 @@ from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.preset import load_preset
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.storage.bundle import Bundle
-from tests.support.generators import boxes, boxes_glb, generator, glb, photo_of
+from tests.support.photos.generators import boxes, boxes_glb, generator, glb, photo_of
 from tests.support.photos.single_photos import photo
 
 GENERATE = load_preset("generate")

@@ -8,6 +8,7 @@ import threading
 import time
 import zipfile
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,13 @@ from scipy.spatial import cKDTree
 from capture2vr.edge.api import edge_pb2 as pb
 from capture2vr.edge.asset.target import measure_cost
 from capture2vr.edge.field.device import find_device
+from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.edge.jobs.available_presets import known_presets
 from capture2vr.edge.jobs.fit_job import FieldFitter
 from capture2vr.edge.jobs.job_process import JobProcesses
+from capture2vr.edge.jobs.job_task import Machine
 from capture2vr.edge.jobs.reconstruct_job import Reconstructor
-from capture2vr.edge.preset import memory_bytes
+from capture2vr.edge.preset import load_preset, memory_bytes
 from capture2vr.edge.worker.memory_budget import MemoryBudget
 from capture2vr.storage.bundle import Bundle
 from capture2vr.storage.catalogue.entry import read_entry
@@ -35,6 +38,7 @@ from capture2vr.storage.memory import MemoryStore
 from capture2vr.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
 from tests.support.patience import CANCEL_S, PATIENCE_S
+from tests.support.photos.generators import boxes, boxes_glb, generator, glb, photo_of
 from tests.support.workers.edge_client import Client, leftovers, until, upload, worker
 
 pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]
@@ -105,6 +109,32 @@ async def test_points_become_an_asset(client: Client, store: MemoryStore, scratc
     assert json.loads(store.get(asset.manifest))["preset"] == "draft"
     assert store.get(asset.document["lods"][0]["name"]).startswith(b"glTF")
     assert leftovers(scratch) == []
+
+
+async def test_one_photo_becomes_what_a_generator_makes_of_it_or_a_sentence(
+    store: MemoryStore, scratch: Path, tmp_path: Path
+) -> None:
+    rgb, mask = photo_of(boxes(), 200)
+    png = cv2.imencode(".png", np.dstack([rgb[..., ::-1], np.where(mask, 255, 0)]).astype(np.uint8))[1].tobytes()
+    path = tmp_path / "capture.zip"
+    with zipfile.ZipFile(path, "w") as packed:
+        packed.writestr("boxes.png", png)
+    with generator(glb(boxes_glb(turn=120))) as stub:
+        server = GeneratorServer(stub.url)
+        presets = {"generate": replace(load_preset("generate"), resolution=40, most_points=3_000)}
+        machine = Machine("cpu", 1 << 40, generator=server)
+        work = FieldFitter(store, presets, find_device("cpu"), MemoryBudget(1 << 40), machine=machine)
+        async with worker(Reconstructor(work), scratch, slots=1) as client:
+            made = await client.ended(path.read_bytes(), job="job_made", asset_key="boxes", preset="generate")
+            stub.health = 503
+            refused = await client.ended(path.read_bytes(), job="job_refused", asset_key="none", preset="generate")
+    assert made[-1].HasField("finished"), made[-1]
+    entry = read_entry(store, "boxes")
+    assert (entry.document["origin"], entry.tags, entry.grade) == ("generated", ("generated",), "")
+    assert (refused[-1].failure.code, refused[-1].failure.retryable) == ("GENERATOR_UNAVAILABLE", True)
+    assert "the capture is kept" in refused[-1].failure.hints[0]
+    with pytest.raises(FileNotFoundError):
+        read_entry(store, "none")
 
 
 async def test_edits_make_another_version_and_those_that_leave_nothing_none(
