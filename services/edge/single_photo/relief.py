@@ -1,12 +1,13 @@
 """Make a printed relief of the thing in one photo: its outline inflated, the photo printed on the front. It is a guess.
 
-The relief is closed, and symmetric about a plane, in which its outline lies. Its front as seen by the photo's camera is
-the photo to the pixel; how thick it is follows from the kind of its outline alone.
+The relief is closed, and its outline lies in a plane. Its front as seen by the photo's camera is the photo to the
+pixel; how thick it is follows from the kind of its outline alone. About that plane it is symmetric, but for a front
+whose height a learned model tells.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -15,14 +16,18 @@ import numpy as np
 from capture2vr.edge.arrays import Bools, Bytes, Floats, Tick, part_of
 from capture2vr.edge.capture.nouns import Intrinsics, Photo
 from capture2vr.edge.models.folder import ModelFolder
-from capture2vr.edge.models.nouns import UsedModel
+from capture2vr.edge.models.nouns import LearnedView, UsedModel
 from capture2vr.edge.points.nouns import TextureView
 from capture2vr.edge.render.sample_image import bilinear
 from capture2vr.edge.single_photo.cutout import CutOut, Tap, cut_out, rotate_clockwise
+from capture2vr.edge.single_photo.learned_cut import DIGITS
+from capture2vr.edge.single_photo.learned_depth import LearnedDepth, learned_depth, unsure
+from capture2vr.edge.single_photo.learned_front import learned_front
 from capture2vr.edge.single_photo.membrane import Membrane, closed_mesh, inflate
 from capture2vr.edge.single_photo.outline_kind import OutlineKind, inflation_of
 from capture2vr.edge.single_photo.printed_views import PrintedPicture, printed_pictures
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
 
 GRID = 150
 """Pixels along the longer side of the mask that is inflated."""
@@ -47,7 +52,8 @@ class Relief:
     xyz    (N,3) float64, evenly spaced; rgb (N,3) uint8 sRGB, of the printed pictures
     views  the two pictures with their cameras: the front, and the back
     kind   what its thickness follows from; mask (h,w): what was inflated
-    models learned models that cut it out
+    models learned models that cut it out, or tell its depth
+    metres of its unit, as a learned model estimates it, whose title is `sized_by`; None: nobody does
     """
 
     xyz: Floats
@@ -57,6 +63,8 @@ class Relief:
     mask: Bools
     warnings: tuple[str, ...] = ()
     models: tuple[UsedModel, ...] = ()
+    metres: float | None = None
+    sized_by: str = ""
 
 
 def make_relief(
@@ -72,18 +80,45 @@ def make_relief(
     Raises CaptureError CAPTURE_NO_OBJECT, and whatever loading the photo raises.
     """
     tick(0.0)
-    cut = cut_out(photo, box, tap, models, part_of(tick, 0.0, 0.5))
-    tick(0.5)
+    cut = cut_out(photo, box, tap, models, part_of(tick, 0.0, 0.3))
+    tick(0.3)
     window = _Window.around(photo, cut.bounds())
     mask = window.mask_of(cut, SIDE)
     kind, inflation = inflation_of(mask)
-    membrane = inflate(mask, inflation)
+    learned = learned_depth(models, photo, part_of(tick, 0.3, 0.6))
+    membrane, told = _with_front(inflate(mask, inflation), mask, window, learned, photo.name)
+    tick(0.6)
     surface = closed_mesh(membrane).vertices
     tick(0.7)
     views = _views(printed_pictures(window.load(photo), window.mask_of(cut, _PRINTED * SIDE)), membrane, photo.name)
     rgb = _colours(surface, views)
     tick(1.0)
-    return Relief(_as_seen(surface) / GRID, rgb, views, kind, mask, cut.warnings, cut.models)
+    warnings, models_used = cut.warnings + told.warnings, cut.models + told.models
+    return Relief(_as_seen(surface) / GRID, rgb, views, kind, mask, warnings, models_used, told.metres, told.sized_by)
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What a model's depth adds to a relief, beside its shape: as in `Relief`."""
+
+    warnings: tuple[str, ...] = ()
+    models: tuple[UsedModel, ...] = ()
+    metres: float | None = None
+    sized_by: str = ""
+
+
+def _with_front(
+    membrane: Membrane, mask: Bools, window: _Window, learned: LearnedDepth, name: str
+) -> tuple[Membrane, _Told]:
+    """Give a membrane the front that a model's depth tells, where it tells one."""
+    if learned.view is None or learned.graph is None:
+        return membrane, _Told(learned.warnings)
+    front = learned_front(*window.depth_of(learned.view, SIDE), mask, membrane)
+    if front is None:
+        return membrane, _Told((unsure(learned.graph, name),))
+    used, title = learned.graph.used, learned.graph.card.title
+    warning = say("front_by_model", name=name, model=title, version=used.sha256[:DIGITS])
+    return replace(membrane, ratio=front.ratio), _Told((warning,), (used,), front.pixel_m * GRID, title)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +157,15 @@ class _Window:
         mask[:, :2] = mask[:, -2:] = False
         return mask
 
+    def depth_of(self, view: LearnedView, pixels: int) -> tuple[Floats, float]:
+        """Depth, pixels × pixels, of a model's view of the whole photo, and its focal length in pixels of that."""
+        assert view.depth_m is not None, "it has depth"
+        rows, columns = view.depth_m.shape
+        by = self.side / self.width * columns / pixels, self.side / self.height * rows / pixels
+        start = self.left / self.width * columns, self.top / self.height * rows
+        depth = _warp(view.depth_m, start, by, pixels, cv2.BORDER_CONSTANT, cv2.INTER_NEAREST)
+        return depth, view.focal_px / by[0]
+
     def load(self, photo: Photo) -> Bytes:
         """Load what the photo shows of it, at most `_PRINT_PX` pixels long; its edge's pixels where the photo ends."""
         side = min(self.side, _PRINT_PX)
@@ -133,10 +177,17 @@ class _Window:
         return np.asarray(_warp(upright, start, by, side, cv2.BORDER_REPLICATE), np.uint8)
 
 
-def _warp(image: Floats | Bytes, start: tuple[float, float], by: tuple[float, float], side: int, border: int) -> Any:
+def _warp(
+    image: Floats | Bytes,
+    start: tuple[float, float],
+    by: tuple[float, float],
+    side: int,
+    border: int,
+    way: int = cv2.INTER_LINEAR,
+) -> Any:
     """Resample the square of an image that begins at `start` (x, y) with `by` pixels (x, y) for each new one."""
     warp = np.array([[by[0], 0, start[0] + by[0] / 2 - 0.5], [0, by[1], start[1] + by[1] / 2 - 0.5]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    flags = way | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(image, warp, (side, side), flags=flags, borderMode=border)
 
 
@@ -150,12 +201,15 @@ def _views(pictures: tuple[PrintedPicture, ...], membrane: Membrane, name: str) 
     """Both pictures with their cameras and depth."""
     focal, middle = _DISTANCE * GRID, (SIDE - 1) / 2
     camera = Intrinsics(focal, focal, middle, middle, SIDE, SIDE)
-    depth = np.where(membrane.squared > 0, _DISTANCE - membrane.height / GRID, 0).astype(np.float32)
+    near, far = (
+        np.where(membrane.squared > 0, _DISTANCE - height / GRID, 0).astype(np.float32)
+        for height in (membrane.front, membrane.height)
+    )
     front, back = np.diag([1.0, -1, -1, 1]), np.diag([-1.0, -1, 1, 1])
     front[2, 3], back[2, 3] = _DISTANCE, -_DISTANCE
     return (
-        TextureView(camera, front, pictures[0], depth.copy, name),
-        TextureView(camera, back, pictures[1], np.ascontiguousarray(depth[:, ::-1]).copy, _BACK.format(name)),
+        TextureView(camera, front, pictures[0], near.copy, name),
+        TextureView(camera, back, pictures[1], np.ascontiguousarray(far[:, ::-1]).copy, _BACK.format(name)),
     )
 
 
