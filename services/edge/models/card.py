@@ -12,6 +12,9 @@ from pydantic import ConfigDict, TypeAdapter
 Shapes = dict[str, tuple[int, ...]]
 """Tensors of a graph by name, with their shapes."""
 
+FREE = -1
+"""A length in a shape that the graph leaves open: of an input it must be, of an output it may be."""
+
 
 @dataclass(frozen=True, slots=True)
 class NpmPackage:
@@ -28,6 +31,9 @@ class NpmPackage:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
+    def __str__(self) -> str:
+        return f"{self.package} {self.version}"
+
 
 @dataclass(frozen=True, slots=True)
 class ModelCard:
@@ -43,9 +49,10 @@ class ModelCard:
     source: str
     most_bytes: int
     most_s: float
-    npm: NpmPackage
     inputs: Shapes
     outputs: Shapes
+    npm: NpmPackage | None = None
+    integers: tuple[str, ...] = ()
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 

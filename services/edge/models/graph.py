@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from capture2vr.edge.arrays import Floats, Tick, no_tick
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick
 from capture2vr.edge.child_process import ChildError, run_child
 from capture2vr.edge.models.card import ModelCard, Shapes
 from capture2vr.edge.models.nouns import ModelError, UsedModel
@@ -46,6 +46,7 @@ class GraphOrder:
     file: str
     inputs: Shapes
     outputs: Shapes
+    integers: tuple[str, ...]
     runs: bool
     device: str
     threads: int
@@ -77,8 +78,8 @@ class Graph:
         """Check the file's hash, load the graph, and compare its tensors with the table. Raises ModelError."""
         self._in_child({}, tick)
 
-    def run(self, inputs: Mapping[str, Floats], tick: Tick = no_tick) -> dict[str, Floats]:
-        """Run the graph: float32 tensors by name -> the outputs of the table by name.
+    def run(self, inputs: Mapping[str, Floats | Ints], tick: Tick = no_tick) -> dict[str, Floats]:
+        """Run the graph: tensors by name, float32, or int64 where the table says so -> its outputs by name, float32.
 
         Raises ModelError MODEL_UNAVAILABLE for a file or a runtime that cannot be used, MODEL_FAILED where the graph
         takes too much memory or time or gives numbers that are not finite, and what `tick` raises.
@@ -108,15 +109,14 @@ class Graph:
     def _get_again(self) -> str:
         return say("get_model_again", name=self.card.name)
 
-    def _in_child(self, inputs: Mapping[str, Floats], tick: Tick) -> dict[str, Floats]:
+    def _in_child(self, inputs: Mapping[str, Floats | Ints], tick: Tick) -> dict[str, Floats]:
         """Run the child on inputs; without any, it only loads the graph and compares its tensors with the table."""
         card = self.card
         self.check_file()
         if find_spec("onnxruntime") is None:
             raise unavailable(say("model_needs_onnx_runtime", model=card.title), say("install_extra_models"))
-        order = GraphOrder(
-            str(self.file), card.inputs, card.outputs, bool(inputs), self.device, _threads(), card.most_bytes
-        )
+        shapes = card.inputs, card.outputs, card.integers
+        order = GraphOrder(str(self.file), *shapes, bool(inputs), self.device, _threads(), card.most_bytes)
         with tempfile.TemporaryDirectory(prefix="model-") as name:
             folder = Path(name)
             (folder / ORDER).write_text(json.dumps(asdict(order)), encoding="utf-8")

@@ -9,7 +9,7 @@ import json
 import re
 import resource
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 import onnxruntime
 
 from capture2vr.edge.child_process import die_with_parent
+from capture2vr.edge.models.card import FREE
 from capture2vr.edge.models.graph import FAULT, INPUTS, ORDER, OUTPUTS, GraphFault, GraphOrder
 
 _ON_CPU = "CPUExecutionProvider"
@@ -86,8 +87,8 @@ def _work(order: GraphOrder, folder: Path) -> Mapping[str, Any]:
 def _on(order: GraphOrder, folder: Path, providers: list[Any]) -> Mapping[str, Any]:
     """Do the work on the named providers of ONNX Runtime."""
     session = _guarded("load", lambda: onnxruntime.InferenceSession(order.file, _options(order), providers=providers))
-    for wanted, found in ((order.inputs, session.get_inputs()), (order.outputs, session.get_outputs())):
-        _compare(wanted, found)
+    _compare(order.inputs, order.integers, session.get_inputs(), lambda length: isinstance(length, str | None))
+    _compare(order.outputs, order.integers, session.get_outputs(), lambda length: True)
     if not order.runs:
         return {}
     with np.load(folder / INPUTS) as file:
@@ -121,19 +122,33 @@ def _guarded(kind: str, call: Any) -> Any:
         ) from None
 
 
-def _compare(wanted: Mapping[str, Iterable[int]], found: Iterable[Any]) -> None:
-    """Raises _Stop where a tensor is missing, or has another shape or type. Further outputs do no harm."""
-    there = {each.name: (list(each.shape), each.type) for each in found}
+def _compare(
+    wanted: Mapping[str, Iterable[int]],
+    integers: Iterable[str],
+    found: Iterable[Any],
+    may_be_free: Callable[[Any], bool],
+) -> None:
+    """Raises _Stop where a tensor is missing, or has another shape or type. Further outputs do no harm.
+
+    may_be_free  whether a length in the file will do where the table leaves it open
+    """
+    there = {each.name: (list(each.shape), each.type.removeprefix("tensor(").removesuffix(")")) for each in found}
     for name, shape in wanted.items():
-        if there.get(name) != (list(shape), "tensor(float)"):
-            raise _Stop("tensors", f"{name} {list(shape)} float, {_named(there, name)}")
+        lengths, kind = list(shape), "int64" if name in integers else "float"
+        has, its_kind = there.get(name, ([], ""))
+        fits = len(has) == len(lengths) and all(
+            may_be_free(length) if one == FREE else length == one for one, length in zip(lengths, has, strict=True)
+        )
+        if not fits or its_kind != kind:
+            shown = ", ".join("any" if one == FREE else str(one) for one in lengths)
+            raise _Stop("tensors", f"{name} [{shown}] {kind}, {_named(there, name)}")
 
 
 def _named(there: Mapping[str, tuple[list[Any], str]], name: str) -> str:
     """Name what the graph has instead of a tensor."""
     if name in there:
         shape, kind = there[name]
-        return f"{name} {shape} {kind.removeprefix('tensor(').removesuffix(')')}"
+        return f"{name} {shape} {kind}"
     return ", ".join(sorted(there)) or "-"
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from capture2vr.edge.arrays import Bytes, Floats, Tick
+from capture2vr.edge.arrays import Bytes, Floats, Ints, Tick
 from capture2vr.edge.errors import EdgeError
 from capture2vr.sentences.sentence import in_row
 
@@ -21,13 +21,22 @@ class UsedModel:
 
 @dataclass(frozen=True, slots=True)
 class LearnedView:
-    """What a model proposes of one photo. It is never a measurement.
+    """What a model proposes of one photo, in the photo's own shape (h,w). It is never a measurement.
 
-    mask  (h,w) float32 in [0,1], how surely a pixel shows the object, of the photo's own shape; None where the model
-          proposes none
+    mask     (h,w) float32 in [0,1], how surely a pixel shows the object; None where the model proposes none
+    depth_m  (h,w) float32, metres along the optical axis, 0 where it sees no surface; None where it proposes none
+    normals  (h,w,3) float32 unit vectors out of the surface, OpenCV axes, 0 where depth_m is; None as there
+    focal_px focal length in pixels, the optical axis in the picture's middle; 0 where the model proposes none
     """
 
     mask: Floats | None = None
+    depth_m: Floats | None = None
+    normals: Floats | None = None
+    focal_px: float = 0.0
+
+
+RunGraph = Callable[[Mapping[str, Floats | Ints], Tick], Mapping[str, Floats]]
+"""Runs a graph: tensors by name -> tensors by name. Raises ModelError."""
 
 
 class LearnedViews(Protocol):

@@ -14,6 +14,7 @@ from capture2vr.edge.errors import EdgeError
 from capture2vr.edge.points.clean_cloud import MAX_POINTS, MIN_POINTS, cloud_points
 from capture2vr.edge.points.lasso import DrawnView, drawn_views, hide_left_out
 from capture2vr.edge.points.nouns import Points
+from capture2vr.edge.points.scale import with_scale
 from capture2vr.order.edits import CropBox, CutPlane, Edits
 from capture2vr.sentences.sentence import say
 
@@ -56,8 +57,7 @@ def set_frame(points: Points, edits: Edits) -> Points:
         up = np.array(edits.up, np.float64)
         points = replace(points, up=up / np.linalg.norm(up), up_source=_BY_PERSON)
     if edits.length is not None:
-        scale = edits.length.metres_per_unit
-        points = replace(points, metres_per_unit=scale, scale_confidence="estimated")
+        points = with_scale(points, edits.length.metres_per_unit)
     return replace(points, edits=edits)
 
 

@@ -95,7 +95,8 @@ class Points:
     closed: whether the object has no true openings, as far as photos and inferred points tell;
     offset (3,): what was subtracted from the coordinates of a survey's file, which are large; None for others;
     crs: coordinate reference system of that file, of xyz + offset, as in `Cloud`;
-    models: learned models that had a part in it.
+    models: learned models that had a part in it;
+    scale_by_model: whether the scale is what one of them estimates.
     """
 
     xyz: Floats
@@ -121,6 +122,7 @@ class Points:
     offset: Floats | None = None
     crs: str = ""
     models: tuple[UsedModel, ...] = ()
+    scale_by_model: bool = False
 
     def __len__(self) -> int:
         return len(self.xyz)

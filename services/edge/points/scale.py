@@ -15,7 +15,12 @@ _MOST = 2_000
 
 def scale_to_longest(points: Points, longest_m: float) -> Points:
     """Set the scale so that the two points farthest apart are `longest_m` metres apart; its confidence: "estimated"."""
-    return replace(points, metres_per_unit=longest_m / span(points.xyz), scale_confidence="estimated")
+    return with_scale(points, longest_m / span(points.xyz))
+
+
+def with_scale(points: Points, metres_per_unit: float) -> Points:
+    """Set the scale that a person has told. Its confidence is "estimated"."""
+    return replace(points, metres_per_unit=metres_per_unit, scale_confidence="estimated", scale_by_model=False)
 
 
 def span(xyz: Floats) -> float:

@@ -23,7 +23,8 @@ _UNSURE = 0.1, 0.9  # values between which the model does not know
 # Most pixels of which it does not know, over those of the object. Of 19 photos 14 that are cut rightly have 0.3 and
 # less; print, handwriting, a rocket among masts and two white chairs before white have 0.7 and more.
 _MOST_UNSURE = 0.5
-_DIGITS = 12  # of the file's SHA-256, by which people tell two files
+DIGITS = 12
+"""Of a file's SHA-256, by which people tell two files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ def learned_cut(
     mask = main_part(cv2.resize(view.mask, (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > _BELONGS)
     if mask.mean() < LEAST_AREA or is_cut_off(mask) or not _is_sure(view.mask):
         return LearnedCut(warnings=(say("model_found_no_whole_object", model=graph.card.title, name=name),))
-    version = graph.used.sha256[:_DIGITS]
+    version = graph.used.sha256[:DIGITS]
     return LearnedCut(mask, (say("cut_by_model", name=name, model=graph.card.title, version=version),), (graph.used,))
 
 

@@ -1,4 +1,4 @@
-"""Inflate an outline like a membrane: a closed, symmetric shape whose outline from the front is that of a mask.
+"""Inflate an outline like a membrane: a closed shape whose outline from the front is that of a mask.
 
 The height above the middle plane is the root of a function H of the place, which is 0 on the outline:
 
@@ -7,7 +7,8 @@ The height above the middle plane is the root of a function H of the place, whic
 A disc without a limit to its width (L = ∞, H = 4 k² u) becomes an ellipsoid whose half thickness is k radii, since
 u = (R² − r²) / 4 there; a strip, the middle of something long, a cylinder √2 k half widths thick. With a limit L, what
 is wider than a few L is a plate of half thickness T with rounded edges. The surface is where H − z² = 0: marching
-cubes give it closed, with an edge that is round. numpy, scipy and scikit-image.
+cubes give it closed, with an edge that is round. It is symmetric, or its front is higher than its back by a ratio that
+is given for each place: there it is where H − (z / ratio)² = 0. numpy, scipy and scikit-image.
 """
 
 from __future__ import annotations
@@ -31,14 +32,23 @@ _DEEP = 4.0  # pixels from the outline from which on H is the solution alone
 
 @dataclass(frozen=True, slots=True)
 class Membrane:
-    """An inflated mask: H (h,w) in square pixels, negative outside; its root is the height over the middle plane."""
+    """An inflated mask: H (h,w) in square pixels, negative outside; its root is the height over the middle plane.
+
+    ratio  (h,w) > 0, of the front's height to that
+    """
 
     squared: Floats
+    ratio: Floats | float = 1.0
 
     @property
     def height(self) -> Floats:
-        """Height (h,w) in pixels over the middle plane; 0 outside."""
+        """Height (h,w) of the back in pixels over the middle plane; 0 outside."""
         return np.asarray(np.sqrt(np.maximum(self.squared, 0)))
+
+    @property
+    def front(self) -> Floats:
+        """Height (h,w) of the front in pixels over the middle plane; 0 outside."""
+        return np.asarray(self.height * self.ratio)
 
 
 def inflate(mask: Bools, inflation: Inflation) -> Membrane:
@@ -56,9 +66,10 @@ def closed_mesh(membrane: Membrane) -> Mesh:
     from skimage.measure import marching_cubes  # half a second to load
 
     squared = membrane.squared
-    half = int(np.ceil(np.sqrt(squared.max()))) + 2
-    z = np.arange(-half, half + 1, dtype=np.float32)
-    solid = squared.astype(np.float32)[..., None] - z**2
+    half, front = (int(np.ceil(each.max())) + 2 for each in (membrane.height, membrane.front))
+    z = np.arange(-half, front + 1, dtype=np.float32)
+    ratio = np.broadcast_to(np.asarray(membrane.ratio, np.float32), squared.shape)
+    solid = squared.astype(np.float32)[..., None] - (z / np.where(z > 0, ratio[..., None], 1)) ** 2
     vertices, faces, _, _ = marching_cubes(solid, 0.0)  # type: ignore[no-untyped-call]
     rows, columns, depth = vertices.T.astype(np.float64)
     height, width = squared.shape

@@ -10,6 +10,7 @@ import numpy as np
 
 from capture2vr.edge.arrays import Bools, Bytes, Floats
 from capture2vr.edge.capture.nouns import Photo
+from capture2vr.edge.models.nouns import LearnedView
 from capture2vr.edge.single_photo.cutout import CutOut, rotate_clockwise
 from capture2vr.order.photo_box import PhotoBox
 
@@ -60,6 +61,15 @@ class PhotoWindow:
         mask[:, :2] = mask[:, -2:] = False
         return mask
 
+    def depth_of(self, view: LearnedView, pixels: int) -> tuple[Floats, float]:
+        """Depth, pixels × pixels, of a model's view of the whole photo, and its focal length in pixels of that."""
+        assert view.depth_m is not None, "it has depth"
+        rows, columns = view.depth_m.shape
+        by = self.side / self.width * columns / pixels, self.side / self.height * rows / pixels
+        start = self.left / self.width * columns, self.top / self.height * rows
+        depth = _warp(view.depth_m, start, by, pixels, cv2.BORDER_CONSTANT, cv2.INTER_NEAREST)
+        return depth, view.focal_px / by[0]
+
     def load(self, photo: Photo, most: int) -> Bytes:
         """Load what the photo shows of it, at most so many pixels long; its edge's pixels where the photo ends."""
         side = min(self.side, most)
@@ -71,8 +81,15 @@ class PhotoWindow:
         return np.asarray(_warp(upright, start, by, side, cv2.BORDER_REPLICATE), np.uint8)
 
 
-def _warp(image: Floats | Bytes, start: tuple[float, float], by: tuple[float, float], side: int, border: int) -> Any:
+def _warp(
+    image: Floats | Bytes,
+    start: tuple[float, float],
+    by: tuple[float, float],
+    side: int,
+    border: int,
+    way: int = cv2.INTER_LINEAR,
+) -> Any:
     """Resample the square of an image that begins at `start` (x, y) with `by` pixels (x, y) for each new one."""
     warp = np.array([[by[0], 0, start[0] + by[0] / 2 - 0.5], [0, by[1], start[1] + by[1] / 2 - 0.5]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    flags = way | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(image, warp, (side, side), flags=flags, borderMode=border)

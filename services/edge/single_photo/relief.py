@@ -1,8 +1,8 @@
 """Make a printed relief of the thing in one photo: its outline inflated, the photo printed on the front. It is a guess.
 
-The relief is symmetric about a plane, in which its outline lies, and closed, but for a garment: that is two sheets that
-end side by side at neck, sleeves and hem. Its front as seen by the photo's camera is the photo to the pixel; how thick
-it is follows from the kind of its outline alone.
+The relief is closed, but for a garment: that is two sheets that end side by side at neck, sleeves and hem. Its outline
+lies in a plane, and its front as seen by the photo's camera is the photo to the pixel; how thick it is follows from the
+kind of its outline alone. About that plane it is symmetric, but for a front whose height a learned model tells.
 """
 
 from __future__ import annotations
@@ -20,11 +20,15 @@ from capture2vr.edge.points.nouns import TextureView
 from capture2vr.edge.render.sample_image import bilinear
 from capture2vr.edge.single_photo.cutout import cut_out
 from capture2vr.edge.single_photo.garment import open_ends
+from capture2vr.edge.single_photo.learned_cut import DIGITS
+from capture2vr.edge.single_photo.learned_depth import LearnedDepth, learned_depth, unsure
+from capture2vr.edge.single_photo.learned_front import learned_front
 from capture2vr.edge.single_photo.membrane import Membrane, closed_mesh, inflate
 from capture2vr.edge.single_photo.outline_kind import OutlineKind, inflation_of
 from capture2vr.edge.single_photo.photo_window import DISTANCE, GRID, SIDE, PhotoWindow
 from capture2vr.edge.single_photo.printed_views import PrintedPicture, printed_pictures
 from capture2vr.order.photo_box import PhotoBox
+from capture2vr.sentences.sentence import say
 
 _PRINT_PX = 2048
 """Most pixels along the longer side of the printed pictures: as many as the largest texture has."""
@@ -46,7 +50,8 @@ class Relief:
     views  the two pictures with their cameras: the front, and the back
     kind   what its thickness follows from; mask (h,w): what was inflated
     closed whether it has no opening
-    models learned models that cut it out
+    models learned models that cut it out, or tell its depth
+    metres of its unit, as a learned model estimates it, whose title is `sized_by`; None: nobody does
     """
 
     xyz: Floats
@@ -57,6 +62,8 @@ class Relief:
     closed: bool
     warnings: tuple[str, ...] = ()
     models: tuple[UsedModel, ...] = ()
+    metres: float | None = None
+    sized_by: str = ""
 
 
 def make_relief(
@@ -71,13 +78,15 @@ def make_relief(
     Raises CaptureError CAPTURE_NO_OBJECT, and whatever loading the photo raises.
     """
     tick(0.0)
-    cut = cut_out(photo, box, models, part_of(tick, 0.0, 0.5))
-    tick(0.5)
+    cut = cut_out(photo, box, models, part_of(tick, 0.0, 0.3))
+    tick(0.3)
     window = PhotoWindow.around(photo, cut.bounds())
     mask = window.mask_of(cut, SIDE)
     kind, inflation = inflation_of(mask)
     beyond = open_ends(mask, _BEYOND) if kind == "garment" else np.zeros_like(mask)
-    membrane = inflate(mask | beyond, inflation)
+    learned = learned_depth(models, photo, part_of(tick, 0.3, 0.6))
+    membrane, told = _with_front(inflate(mask | beyond, inflation), mask, window, learned, photo.name)
+    tick(0.6)
     surface = closed_mesh(membrane).vertices
     surface = surface[~_in(_cut_away(mask, beyond), surface)]
     membrane = replace(membrane, squared=np.where(beyond, -1.0, membrane.squared))
@@ -87,9 +96,35 @@ def make_relief(
     )
     rgb = _colours(surface, views)
     tick(1.0)
+    warnings, models_used = cut.warnings + told.warnings, cut.models + told.models
+    closed = not beyond.any()
     return Relief(
-        _as_seen(surface) / GRID, rgb, views, kind, mask, not beyond.any(), warnings=cut.warnings, models=cut.models
+        _as_seen(surface) / GRID, rgb, views, kind, mask, closed, warnings, models_used, told.metres, told.sized_by
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What a model's depth adds to a relief, beside its shape: as in `Relief`."""
+
+    warnings: tuple[str, ...] = ()
+    models: tuple[UsedModel, ...] = ()
+    metres: float | None = None
+    sized_by: str = ""
+
+
+def _with_front(
+    membrane: Membrane, mask: Bools, window: PhotoWindow, learned: LearnedDepth, name: str
+) -> tuple[Membrane, _Told]:
+    """Give a membrane the front that a model's depth tells, where it tells one."""
+    if learned.view is None or learned.graph is None:
+        return membrane, _Told(learned.warnings)
+    front = learned_front(*window.depth_of(learned.view, SIDE), mask, membrane)
+    if front is None:
+        return membrane, _Told((unsure(learned.graph, name),))
+    used, title = learned.graph.used, learned.graph.card.title
+    warning = say("front_by_model", name=name, model=title, version=used.sha256[:DIGITS])
+    return replace(membrane, ratio=front.ratio), _Told((warning,), (used,), front.pixel_m * GRID, title)
 
 
 def _cut_away(mask: Bools, beyond: Bools) -> Bools:
@@ -116,12 +151,15 @@ def _views(pictures: tuple[PrintedPicture, ...], membrane: Membrane, name: str) 
     """Both pictures with their cameras and depth."""
     focal, middle = DISTANCE * GRID, (SIDE - 1) / 2
     camera = Intrinsics(focal, focal, middle, middle, SIDE, SIDE)
-    depth = np.where(membrane.squared > 0, DISTANCE - membrane.height / GRID, 0).astype(np.float32)
+    near, far = (
+        np.where(membrane.squared > 0, DISTANCE - height / GRID, 0).astype(np.float32)
+        for height in (membrane.front, membrane.height)
+    )
     front, back = np.diag([1.0, -1, -1, 1]), np.diag([-1.0, -1, 1, 1])
     front[2, 3], back[2, 3] = DISTANCE, -DISTANCE
     return (
-        TextureView(camera, front, pictures[0], depth.copy, name),
-        TextureView(camera, back, pictures[1], np.ascontiguousarray(depth[:, ::-1]).copy, _BACK.format(name)),
+        TextureView(camera, front, pictures[0], near.copy, name),
+        TextureView(camera, back, pictures[1], np.ascontiguousarray(far[:, ::-1]).copy, _BACK.format(name)),
     )
 
 

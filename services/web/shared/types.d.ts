@@ -230,6 +230,7 @@ export interface Manifest {
   capture?: CaptureSummary;
   quality?: QualityFigures & { preview?: QualityFigures };
   anchors?: AnchorPoints;
+  scale_by_model?: boolean;
   edits?: Edits;
   warnings?: string[];
   warnings_i18n?: (SentenceCode | null)[];

@@ -126,7 +126,15 @@ function distanceText(share, { size_m: size, scale_confidence: confidence }) {
  */
 function originLines(
   entry,
-  { capture = {}, preset, preset_because: because, preset_because_i18n: becauseCode, target, generator },
+  {
+    capture = {},
+    preset,
+    preset_because: because,
+    preset_because_i18n: becauseCode,
+    target,
+    generator,
+    scale_by_model: byModel,
+  },
 ) {
   const made = entry.versions?.find(({ version }) => version === entry.version)?.created;
   const { cut, up } = capture;
@@ -139,7 +147,7 @@ function originLines(
           because: stored(cut.because, cut.because_i18n),
         })
       : '',
-    SCALES[entry.scale_confidence] ?? '',
+    byModel ? t('Its size was estimated by a learned model.') : (SCALES[entry.scale_confidence] ?? ''),
     up
       ? t('Which way is up was told {how}, with {percent} confidence.', {
           how: UP_TELLERS[up.source] ?? up.source,

@@ -25,13 +25,16 @@ export const LEAST_LOOP = 3; // points of an area
 
 /**
  * @param {AssetEntry} entry
- * @param {Pick<Manifest, 'quality' | 'edits'>} manifest
+ * @param {Pick<Manifest, 'quality' | 'edits' | 'scale_by_model'>} manifest
  * @returns {Accuracy}
  */
-export function accuracyOf({ scale_confidence: confidence, size_m: size }, { quality, edits }) {
+export function accuracyOf(
+  { scale_confidence: confidence, size_m: size },
+  { quality, edits, scale_by_model: byModel },
+) {
   const longest = Math.max(...size);
   const share = quality?.held_out_mean ?? quality?.points_to_mesh_median; // of the longest side
-  const point = share === undefined ? null : share * longest;
+  const point = share === undefined || byModel ? null : share * longest; // nobody knows how far a model errs
   const between = edits?.length?.metres ?? longest; // what the person has measured whose length gave the scale
   const scale = confidence === 'estimated' ? (Math.SQRT2 * (point ?? 0)) / between : 0;
   return { confidence, point_m: point, scale, longest_m: longest };
@@ -128,12 +131,14 @@ export function scaleSentences(entry, manifest) {
   /** @type {Record<string, string>} */
   const scales = {
     metric: t('Its size was measured by what captured it.'),
-    estimated: length
-      ? t(
-          'Its size was set by a length of {length} between two points that a person gave: figures are as good as that.',
-          { length: formatLength(length.metres) },
-        )
-      : t('Its size was set by a length that a person gave: figures are as good as that.'),
+    estimated: manifest.scale_by_model
+      ? t('Its size is an estimate of a learned model: nobody has measured it.')
+      : length
+        ? t(
+            'Its size was set by a length of {length} between two points that a person gave: figures are as good as that.',
+            { length: formatLength(length.metres) },
+          )
+        : t('Its size was set by a length that a person gave: figures are as good as that.'),
     unknown: t('Its true size is not known: angles hold, and lengths only against each other.'),
   };
   return [

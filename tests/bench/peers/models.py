@@ -3,6 +3,9 @@
 IS-Net beside our own cut, on photos: the share of the picture that each keeps, how alike the two are, and what the
 model's process takes. `--sheet FILE` draws photo, our cut and the model's. `--settings FILE...` measures ONNX files
 with other settings of ONNX Runtime instead, each in a process of its own.
+
+MoGe-2, each that is there: its focal length beside that of the photo's metadata, how far its normals contradict its
+depth, the size that it gives the object, and its depth beside a depth camera's.
 """
 
 from __future__ import annotations
@@ -22,12 +25,16 @@ import numpy as np
 from capture2vr.edge.arrays import Bytes
 from capture2vr.edge.capture.nouns import Photo
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.models.card import model_cards
 from capture2vr.edge.models.folder import ModelFolder
+from capture2vr.edge.models.graph import Graph
 from capture2vr.edge.models.nouns import ModelError
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.single_photo.cutout import CutOut, cut_out, rotate_clockwise
+from capture2vr.edge.single_photo.learned_depth import MODELS
 from tests.bench.data_files import DataMissing, data_file
 from tests.bench.peak_memory import peak_memory
+from tests.bench.peers.model_depth import compare_depth
 from tests.bench.texture import cpu_seconds
 
 PHOTOS = (
@@ -66,22 +73,28 @@ def main(arguments: list[str]) -> None:
     if options.settings:
         _compare_settings(options.settings, photos[0])
         return
-    _compare_cuts(_models(options.folder), photos, options.sheet)
+    graphs = _graphs(options.folder)
+    if "isnet" in graphs:
+        _compare_cuts(ModelFolder(options.folder), photos, options.sheet)
+    depth_models = [graph for name, graph in graphs.items() if name in MODELS]
+    if depth_models:
+        compare_depth(depth_models, photos)
 
 
-def _models(folder: Path | None) -> ModelFolder:
-    """The folder, once IS-Net in it has been checked. Raises DataMissing."""
-    how = "`capture2vr models get isnet --folder DIR --accept-licence`, then --folder DIR"
+def _graphs(folder: Path | None) -> dict[str, Graph]:
+    """The models in the folder by name, once they have been checked. Raises DataMissing."""
+    how = "`capture2vr models get NAME --folder DIR --accept-licence`, then --folder DIR"
     if folder is None:
         raise DataMissing(f"the models' weights are missing: {how}")
     try:
-        graph = ModelFolder(folder).find("isnet")
-        if graph is None:
-            raise DataMissing(f"IS-Net is not in {folder}: {how}")
-        graph.check()
+        found = {name: graph for name in model_cards() if (graph := ModelFolder(folder).find(name))}
+        for graph in found.values():
+            graph.check()
     except ModelError as error:
         raise DataMissing(error.with_remedy) from None
-    return ModelFolder(folder)
+    if not found:
+        raise DataMissing(f"no model is in {folder}: {how}")
+    return found
 
 
 def _compare_cuts(models: ModelFolder, paths: list[Path], sheet: Path | None) -> None:

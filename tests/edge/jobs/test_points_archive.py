@@ -83,6 +83,7 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
         offset=np.array([345_678.25, 5_432_100.5, 321.0]),
         crs="EPSG:25832",
         models=(UsedModel("isnet", "b6e8" * 16),),
+        scale_by_model=True,
     )
     return PreparedPoints(points, CaptureFacts("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
 

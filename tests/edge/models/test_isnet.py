@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from capture2vr.edge.arrays import Bytes, Floats, Tick, no_tick
-from capture2vr.edge.models.isnet import SIDE, IsNet, RunGraph
-from capture2vr.edge.models.nouns import ModelError
+from capture2vr.edge.models.isnet import SIDE, IsNet
+from capture2vr.edge.models.nouns import ModelError, RunGraph
 from tests.support.photos.mask_graphs import constant_mask, require_onnx, run_here, scaled_channel
 
 pytestmark = pytest.mark.usefixtures("onnx_is_there")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capture2vr.edge.arrays import Floats, Tick
+from capture2vr.edge.arrays import Floats
 from capture2vr.edge.models.card import ModelCard, model_cards
 from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.models.isnet import SIDE
+from capture2vr.edge.models.nouns import RunGraph
 from tests.conftest import missing
 
 IN, OUT = [1, 3, SIDE, SIDE], [1, 1, SIDE, SIDE]
@@ -39,15 +40,26 @@ def graph_of(
     opset: int = _OPSET,
 ) -> bytes:
     """A graph from nodes between `input` and `output`."""
+    ends = ({name: (kind, shape)} for name, shape in zip(("input", "output"), shapes, strict=True))
+    return model_of(nodes, constants or {}, *ends, opset)
+
+
+Tensors = Mapping[str, tuple[str, Sequence[int | str | None]]]
+"""Types and shapes of tensors by name."""
+
+
+def model_of(
+    nodes: Sequence[Any], constants: Mapping[str, Any], inputs: Tensors, outputs: Tensors, opset: int
+) -> bytes:
+    """A graph from nodes between its inputs and its outputs."""
     from onnx import TensorProto, helper, numpy_helper
 
-    element = getattr(TensorProto, kind)
     ends = [
-        helper.make_tensor_value_info(name, element, shape)
-        for name, shape in zip(("input", "output"), shapes, strict=True)
+        [helper.make_tensor_value_info(name, getattr(TensorProto, kind), shape) for name, (kind, shape) in side.items()]
+        for side in (inputs, outputs)
     ]
-    kept = [numpy_helper.from_array(np.asarray(value), name) for name, value in (constants or {}).items()]
-    graph = helper.make_graph(list(nodes), "known", ends[:1], ends[1:], kept)
+    kept = [numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()]
+    graph = helper.make_graph(list(nodes), "known", *ends, kept)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=_IR)
     return bytes(model.SerializeToString())
 
@@ -134,24 +146,28 @@ def out_of_bounds() -> bytes:
     return graph_of(nodes, {"zero": np.float32(0), "sixth": np.array([5], np.float32), "masks": masks})
 
 
-def run_here(graph: bytes) -> Callable[[Mapping[str, Floats], Tick], dict[str, Floats]]:
+def run_here(graph: bytes) -> RunGraph:
     """Run a graph in this process, as `Graph.run` does in a child."""
     import onnxruntime
 
     session = onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
-    return lambda inputs, tick: dict(zip(["output"], session.run(["output"], dict(inputs)), strict=True))
+    names = [each.name for each in session.get_outputs()]
+    return lambda inputs, tick: dict(zip(names, session.run(names, dict(inputs)), strict=True))
 
 
-def card_of(graph: bytes, **changes: Any) -> ModelCard:
-    """IS-Net's row of the table, for another file."""
+def card_of(graph: bytes, name: str = "isnet", **changes: Any) -> ModelCard:
+    """A row of the table, by default IS-Net's, for another file."""
     known = {"sha256": hashlib.sha256(graph).hexdigest(), "bytes": len(graph)}
-    return replace(model_cards()["isnet"], **{**known, **changes})
+    return replace(model_cards()[name], **{**known, **changes})
 
 
-def folder_with(folder: Path, graph: bytes, patch: pytest.MonkeyPatch, **changes: Any) -> ModelFolder:
-    """Make a folder in which this graph is IS-Net."""
-    card = card_of(graph, **changes)
-    patch.setattr("capture2vr.edge.models.folder.model_cards", lambda: {card.name: card})
+def folder_with(
+    folder: Path, graph: bytes, patch: pytest.MonkeyPatch, name: str = "isnet", **changes: Any
+) -> ModelFolder:
+    """Make a folder in which this graph is a model of the table, by default IS-Net."""
+    card = card_of(graph, name, **changes)
+    table = {**model_cards(), card.name: card}
+    patch.setattr("capture2vr.edge.models.folder.model_cards", lambda: table)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / card.file).write_bytes(graph)
     return ModelFolder(folder)

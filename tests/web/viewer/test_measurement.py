@@ -52,6 +52,8 @@ def test_how_far_off_they_may_be_agrees_with_points_that_are_moved(scripts: Page
     value, error = scripts.evaluate(MEASURE, ["distance", [[0, 0, 0], [1, 0, 0]], estimated])
     assert error == pytest.approx(np.hypot(2**0.5 * point, 2**0.5 * point / 0.5 * value))
     assert scripts.evaluate(MEASURE, ["distance", [[0, 0, 0], [1, 0, 0]], {**manifest, "scale": "unknown"}])[1] is None
+    by_model = {**estimated, "scale_by_model": True}
+    assert scripts.evaluate(MEASURE, ["distance", [[0, 0, 0], [1, 0, 0]], by_model])[1] is None
     assert scripts.evaluate(MEASURE, ["distance", [[0, 0, 0], [1, 0, 0]], {"scale": "metric"}])[1] is None
 
 

@@ -136,6 +136,7 @@ def test_keys_are_enough(page: Page, site: Site) -> None:
         ({"scale_confidence": "unknown"}, "cm ?", "Its true size is not known"),
         ({"scale_confidence": "estimated", "edits": {"length": {"start": [0, 0, 0], "end": [1, 0, 0], "metres": 0.2}}},
          "± ", "a length of 20 cm between two points that a person gave"),
+        ({"scale_confidence": "estimated", "scale_by_model": True}, "10 cm", "an estimate of a learned model"),
         ({"origin": "guess", "quality": {}}, "10 cm", "Its shape is a guess from one photo."),
         ({"origin": "generated", "quality": {}}, "10 cm", "Its shape was generated from one photo"),
     ],
