@@ -87,12 +87,13 @@ def traits_of(points: Points, *, gpu: bool) -> Traits:
     rng = np.random.default_rng(_SEED)
     longest = float(np.ptp(points.xyz, axis=0).max())
     regions = [_around(points.xyz, centre) for centre in rng.integers(len(points), size=REGIONS)]
+    unsized = points.scale_confidence == "unknown" or points.scale_by_model  # no guess chooses how a capture is made
     spacing, noise = np.median([_spacing_and_noise(region) for region in regions], axis=0)
     return Traits(
         points=points.whole.count if points.whole else len(points),
         spacing=float(spacing / longest),
         noise=float(noise),
-        extent_m=0.0 if points.scale_confidence == "unknown" else longest * points.metres_per_unit,
+        extent_m=0.0 if unsized else longest * points.metres_per_unit,
         gpu=gpu,
         stereo=_is_object_of_photos(points),
     )

@@ -76,6 +76,8 @@ def test_metres_count_only_where_they_are_known() -> None:
     known = traits_of(points(xyz, scale_confidence="metric", metres_per_unit=2.0), gpu=True)
     assert known.extent_m == pytest.approx(10, abs=0.1)
     assert traits_of(points(xyz), gpu=True).extent_m == 0
+    by_model = points(xyz, scale_confidence="estimated", metres_per_unit=2.0, scale_by_model=True)
+    assert traits_of(by_model, gpu=True).extent_m == 0
 
 
 @pytest.mark.parametrize("count", [2, 20, 90])
