@@ -221,7 +221,7 @@ def closing_figures(quality: Mapping[str, Any]) -> dict[str, Any]:
         "border": round(quality["border_over_root"], 2),
         "fringe": round(quality["fringe"], 2),
         "largest hole %": percent(quality["largest_hole"]),
-        "filled %": percent(quality["filled_area"]),
+        "filled %": percent(quality["origins"]["filled"]),
         "grade": grade and grade["level"],
     }
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from capture2vr.edge.api import edge_pb2 as pb
 
-POINTS_VERSION = 12
+POINTS_VERSION = 13
 """Version of the archives of prepared points (jobs/points_archive.py). Workers compare theirs before any are sent."""
 
 
