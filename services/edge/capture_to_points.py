@@ -10,7 +10,7 @@ from typing import Annotated
 from pydantic import Field
 
 from capture2vr.edge.arrays import Floats, Tick, no_tick, part_of
-from capture2vr.edge.capture.nouns import Capture, CaptureKind, Frame, PhotoVerdict
+from capture2vr.edge.capture.nouns import FEW_PHOTOS, Capture, CaptureKind, Frame, PhotoVerdict
 from capture2vr.edge.closing.close_object import close_object
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.coverage import unseen_sides
@@ -33,6 +33,7 @@ from capture2vr.edge.points.lasso import require_photos
 from capture2vr.edge.points.nouns import CutReport, Points, TextureView
 from capture2vr.edge.points.scale import scale_to_longest
 from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.edge.single_photo.complete_back import complete_back
 from capture2vr.edge.single_photo.few_photos import depth_or_guess, guess_instead
 from capture2vr.edge.single_photo.to_points import to_points as guess_points
 from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
@@ -252,7 +253,9 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut | Mark, 
     if aim is not None and cut == "auto":
         require_aim(isolated.points.xyz, aim, fused.cameras)
     thing = replace(isolated.points, unseen=unseen_sides(isolated.points, capture.frames))
-    return close_object(thing, isolated.support, fill, part_of(tick, _CLOSING, 1))
+    closed = close_object(thing, isolated.support, fill, part_of(tick, _CLOSING, 1))
+    few = has_stereo_depth(capture.frames) and len(capture.frames) <= FEW_PHOTOS
+    return complete_back(closed, isolated.support) if few and fill != "none" else closed
 
 
 def _isolated(

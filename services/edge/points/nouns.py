@@ -20,7 +20,7 @@ from capture2vr.edge.capture.nouns import (
     UpSource,
 )
 from capture2vr.edge.models.nouns import UsedModel
-from capture2vr.edge.origin import MEASURED
+from capture2vr.edge.origin import MEASURED, told
 from capture2vr.order.edits import NO_EDITS, Edits
 
 
@@ -134,6 +134,17 @@ class Points:
             rgb=pick(self.rgb, which),
             confidence=self.confidence[which],
             origin=pick(self.origin, which),
+        )
+
+    def joined(self, xyz: Floats, rgb: Bytes | None, confidence: Floats, origin: int) -> Points:
+        """Return the points with more of them behind these, all of one origin."""
+        known = np.full(len(self), MEASURED, np.uint8) if self.origin is None else self.origin
+        return replace(
+            self,
+            xyz=np.concatenate([self.xyz, xyz]),
+            rgb=None if self.rgb is None or rgb is None else np.concatenate([self.rgb, rgb]),
+            confidence=np.concatenate([self.confidence, confidence]),
+            origin=told(np.append(known, np.full(len(xyz), origin, np.uint8))),
         )
 
     @property

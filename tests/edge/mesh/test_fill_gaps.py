@@ -92,13 +92,13 @@ def test_a_hole_that_views_see_through_stays_open(fill: Fill) -> None:
     for mesh in (ball_with_hole(20, np.array([0.0, 0, 1])), sheet_with_hole()):
         made = fill_gaps(mesh, fill, all_see_through)
         assert not made.origin.any()
-        assert made.share == 0
+        assert made.shares["filled"] == 0
 
 
 def test_the_border_of_a_sheet_is_no_hole_but_the_hole_in_it_is() -> None:
     for fill in ("unseen", "all"):
         made = fill_gaps(sheet_with_hole(), fill, nobody_sees_through)
-        assert made.share == pytest.approx(np.pi * 0.15**2, rel=0.1), "the hole alone"
+        assert made.shares["filled"] == pytest.approx(np.pi * 0.15**2, rel=0.1), "the hole alone"
 
 
 def test_the_ends_of_a_sleeve_stay_open_unless_all_is_asked_for() -> None:
