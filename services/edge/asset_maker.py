@@ -67,7 +67,7 @@ class AssetMaker:
     def _published(self, distance: DistanceFn, near: Floats, resolution: int) -> MeasuredSurface:
         mesh_unit = extract_published(distance, near, resolution=resolution, tick=self.bar.tick("EXTRACTING"))
         _refuse_empty(mesh_unit, near, resolution)
-        return self._measured(distance, FilledMesh.unfilled(mesh_unit), resolution)
+        return self._measured(distance, self._with_origin(FilledMesh.unfilled(mesh_unit)), resolution)
 
     def _cleaned(self, distance: DistanceFn, near: Floats, resolution: int) -> MeasuredSurface:
         subject, tick = self.subject, self.bar.tick("EXTRACTING")
@@ -82,8 +82,10 @@ class AssetMaker:
         mesh_unit, pieces = drop_false_pieces(mesh_unit, subject.colours, subject.unit, specks)
         mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
         filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
-        filled = filled.with_inferred(subject.xyz_unit, subject.points.measured)
-        return self._measured(distance, filled, resolution, pieces)
+        return self._measured(distance, self._with_origin(filled), resolution, pieces)
+
+    def _with_origin(self, filled: FilledMesh) -> FilledMesh:
+        return filled.with_origin_of(self.subject.xyz_unit, self.subject.points.origin)
 
     def _measured(
         self, distance: DistanceFn, filled: FilledMesh, resolution: int, pieces: tuple[Piece, ...] = ()

@@ -6,18 +6,17 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from capture2vr.edge.arrays import Floats, Tick, no_tick, part_of, pick
+from capture2vr.edge.arrays import Floats, Tick, no_tick, part_of
 from capture2vr.edge.capture.facts import CaptureFacts
-from capture2vr.edge.capture.nouns import Capture, CaptureKind, Frame
+from capture2vr.edge.capture.nouns import FEW_PHOTOS, Capture, CaptureKind, Frame
 from capture2vr.edge.closing.close_object import close_object
 from capture2vr.edge.errors import CaptureError
 from capture2vr.edge.fusion.coverage import unseen_sides
 from capture2vr.edge.fusion.fuse import FusedPoints, fuse, has_stereo_depth
 from capture2vr.edge.fusion.fuse_scene import fuse_scene
 from capture2vr.edge.fusion.orbit import require_aim, sees_a_scene, sure_aim
-from capture2vr.edge.fusion.texture_views import hold_out_frames, select_scene_views, select_texture_views, texture_view
+from capture2vr.edge.fusion.points_of_frames import points_of_frames
+from capture2vr.edge.fusion.texture_views import hold_out_frames, texture_view
 from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.edge.generated.to_points import generated_points, require_one_photo
 from capture2vr.edge.marking.isolate_marked import isolate_marked, what_to_keep, with_marked_photo
@@ -25,19 +24,17 @@ from capture2vr.edge.marking.marked_object import Mark
 from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.odometry.posed_frames import with_poses
 from capture2vr.edge.photos.depth_maps import at_texture_resolution
-from capture2vr.edge.photos.to_depth import to_depth
-from capture2vr.edge.points.clean_cloud import MIN_POINTS, cloud_points
-from capture2vr.edge.points.denoise_stereo import smooth_stereo_points
+from capture2vr.edge.points.clean_cloud import cloud_points
 from capture2vr.edge.points.edit import cut_away, set_frame
 from capture2vr.edge.points.flatness import flatness_warning
 from capture2vr.edge.points.frame_faults import FrameFaults
 from capture2vr.edge.points.isolate import IsolatedObject, isolate_object
 from capture2vr.edge.points.lasso import require_photos
 from capture2vr.edge.points.nouns import CutReport, Points, TextureView
-from capture2vr.edge.points.outliers import inliers
 from capture2vr.edge.points.scale import scale_to_longest
-from capture2vr.edge.points.upright import find_up
 from capture2vr.edge.progress import Bar, Clock, Progress
+from capture2vr.edge.single_photo.complete_back import complete_back
+from capture2vr.edge.single_photo.few_photos import depth_or_guess, guess_instead
 from capture2vr.edge.single_photo.to_points import to_points as guess_points
 from capture2vr.order.job_options import DEFAULT_OPTIONS, JobOptions
 from capture2vr.order.option_table import Cut, Fill
@@ -101,19 +98,21 @@ def prepare(
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
     bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
-    source = CaptureFacts.of(capture, generated=generator is not None)
+    source, given = CaptureFacts.of(capture, generated=generator is not None), capture
     if capture.kind == "photos":
         yield bar.begin("ALIGNING", say("count_photos", count=len(capture.photos)))
         with clock("ALIGNING"):
-            capture = to_depth(capture, device=device, tick=bar.tick("ALIGNING"))
-            source = replace(source, verdicts=capture.verdicts)
+            tick = bar.tick("ALIGNING")
+            capture = depth_or_guess(capture, box=options.box, models=models, device=device, tick=tick)
     yield bar.begin("POINT_CLOUD", say("generator_works") if generator else say("reading_format", format=source.format))
     with clock("POINT_CLOUD"):
-        points = (
-            generated_points(capture, generator, box=options.box, models=models, tick=bar.tick("POINT_CLOUD"))
-            if generator
-            else _points(capture, options, hold_out, models, bar)
-        )
+        if generator:
+            tick = bar.tick("POINT_CLOUD")
+            points = generated_points(capture, generator, box=options.box, models=models, tick=tick)
+        else:
+            capture, points = _points_or_guess(given, capture, options, hold_out, models, bar)
+        if given.kind == "photos":
+            source = replace(source, kind="image" if capture.kind == "image" else "photos", verdicts=capture.verdicts)
         if options.longest_m:  # it was measured before anything was cut away
             points = scale_to_longest(points, options.longest_m)
         points = cut_away(points, options.edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
@@ -130,6 +129,17 @@ def prepare(
 
 def _at_texture_resolution(view: TextureView) -> TextureView:
     return replace(view, load_rgb=at_texture_resolution(view.load_rgb))
+
+
+def _points_or_guess(
+    given: Capture, capture: Capture, options: JobOptions, hold_out: int | None, models: ModelFolder | None, bar: Bar
+) -> tuple[Capture, Points]:
+    """Make points of a capture; where depth of few photos gives none, of the relief of one of the photos `given`."""
+    try:
+        return capture, _points(capture, options, hold_out, models, bar)
+    except CaptureError as error:
+        guess = guess_instead(given, error, box=options.box, models=models)
+        return guess, _points(guess, options, hold_out, models, bar)
 
 
 def _points(
@@ -214,7 +224,7 @@ def _fused_points(
     in_parts = not has_stereo_depth(frames) and cut in ("auto", "scene")
     fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
     seen = replace(capture, frames=fused.frames)
-    return fused, _rgbd_points(seen, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
+    return fused, points_of_frames(seen, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
 
 
 def _share_to_cut(cut: Cut | Mark) -> float:
@@ -244,7 +254,9 @@ def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut | Mark, 
     if aim is not None and cut == "auto":
         require_aim(isolated.points.xyz, aim, fused.cameras)
     thing = replace(isolated.points, unseen=unseen_sides(isolated.points, capture.frames))
-    return close_object(thing, isolated.support, fill, part_of(tick, _CLOSING, 1))
+    closed = close_object(thing, isolated.support, fill, part_of(tick, _CLOSING, 1))
+    few = has_stereo_depth(capture.frames) and len(capture.frames) <= FEW_PHOTOS
+    return complete_back(closed, isolated.support) if few and fill != "none" else closed
 
 
 def _isolated(
@@ -256,37 +268,3 @@ def _isolated(
         return isolate_marked(points, cut, cameras=cameras, turntable=turntable, tick=tick)
     masked, where = any(frame.load_mask for frame in capture.frames), fused.aim if aim is None else aim
     return isolate_object(points, aim=where, cameras=cameras, turntable=turntable, masked=masked, tick=tick)
-
-
-def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
-    """Points of fused depth images: without outliers, and smoothed where the depth comes from stereo."""
-    stereo = has_stereo_depth(capture.frames)
-    if fused.whole is None:
-        keep = inliers(fused.xyz - fused.cameras[0], (lambda part: tick(0.4 * part)) if stereo else tick)
-    else:  # box by box they were removed
-        keep = np.ones(len(fused.xyz), bool)
-        tick(1.0)
-    if keep.sum() < MIN_POINTS:
-        raise CaptureError(
-            "CAPTURE_TOO_FEW_POINTS",
-            say("fused_points_consistent_least_needed", kept=int(keep.sum()), count=len(keep), least=MIN_POINTS),
-            hints=(say("move_slowly_in_good_light"),),
-        )
-    xyz = fused.xyz[keep]
-    if stereo:
-        xyz = smooth_stereo_points(xyz, fused.confidence[keep], lambda part: tick(0.4 + 0.6 * part))
-    up, up_source = find_up(capture, xyz)
-    return Points(
-        xyz=xyz,
-        rgb=pick(fused.rgb, keep),
-        confidence=fused.confidence[keep],
-        metres_per_unit=capture.metres_per_unit,
-        scale_confidence=capture.scale_confidence,
-        up=up,
-        up_source=up_source,
-        # Tracking and fusion may have met the same damaged picture.
-        warnings=tuple(dict.fromkeys(capture.warnings + fused.warnings)),
-        texture_views=select_texture_views(capture.frames, fused.sharpness),
-        whole=fused.whole,
-        scene_views=() if fused.whole is None else select_scene_views(capture.frames, fused.sharpness),
-    )

@@ -60,8 +60,8 @@ class LocalFit:
 def split_points(points: Points, preset: Preset, device: str) -> SplitPoints:
     """Choose the preset if it is automatic, hold points out, and thin the others to what the preset takes."""
     preset, because = _resolve_preset(preset, points, device)
-    held_out, measured = np.zeros(len(points), np.int64), points.measured
-    held_out[measured] = hold_out(int(measured.sum()), sets=2 if _early_stop_steps(preset) else 1)
+    held_out, given = np.zeros(len(points), np.int64), points.given
+    held_out[given] = hold_out(int(given.sum()), sets=2 if _early_stop_steps(preset) else 1)
     fitted = downsample_points(points.subset(held_out == 0), preset.most_points)
     return SplitPoints(preset, because, points, fitted, points.xyz[held_out == 1], points.xyz[held_out == 2])
 
@@ -74,19 +74,19 @@ def fit_local(split: SplitPoints, clock: Clock, bar: Bar) -> Generator[Progress,
     with clock("FITTING"):
         unit = unit_frame(split.fitted.xyz)
         measured = unit.to_unit(split.fitted.xyz)
-        noise, xyz_unit = _denoised(measured, split.fitted.measured, bar.tick("FITTING"))
+        noise, xyz_unit = _denoised(measured, split.fitted.given, bar.tick("FITTING"))
         distance = local_field(xyz_unit, tick=bar.tick("FITTING"))
-    evidence = Evidence.of(xyz_unit[split.fitted.measured], unit.to_unit(split.evidence))
+    evidence = Evidence.of(xyz_unit[split.fitted.given], unit.to_unit(split.evidence))
     return LocalFit(unit, measured, noise, xyz_unit, distance, evidence, unit.to_unit(split.watched))
 
 
-def _denoised(xyz_unit: Floats, measured: Bools, tick: Tick) -> tuple[Noise, Floats]:
+def _denoised(xyz_unit: Floats, given: Bools, tick: Tick) -> tuple[Noise, Floats]:
     """Return the noise of points (N,3), and the points without it; inferred ones have none, and stay."""
-    found = noise_of(xyz_unit[measured], tick=tick)
+    found = noise_of(xyz_unit[given], tick=tick)
     noise = Noise(np.zeros(len(xyz_unit)), np.zeros(len(xyz_unit)))
-    noise.sigma[measured], noise.share[measured] = found.sigma, found.share
+    noise.sigma[given], noise.share[given] = found.sigma, found.share
     left = xyz_unit.copy()
-    left[measured] = denoise(xyz_unit[measured], found, tick=tick)
+    left[given] = denoise(xyz_unit[given], found, tick=tick)
     return noise, left
 
 

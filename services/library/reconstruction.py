@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capture2vr.edge.convert.read_glb import read_glb
+from capture2vr.edge.export.ply import stored_origin
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.errors import BadInput
 from capture2vr.library.pipeline_call import MadeBundles
@@ -122,4 +123,4 @@ def _read_ply(content: bytes) -> Mesh:
     visual, rgb = read.visual, None
     if isinstance(visual, ColorVisuals) and visual.kind == "vertex":
         rgb = np.asarray(visual.vertex_colors, np.uint8)[:, :3]
-    return Mesh(np.asarray(read.vertices, np.float64), np.asarray(read.faces, np.int64), rgb)
+    return Mesh(np.asarray(read.vertices, np.float64), np.asarray(read.faces, np.int64), rgb, stored_origin(read))

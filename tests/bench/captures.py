@@ -30,10 +30,12 @@ from capture2vr.cli.demonstration.demo_garment import garment_scene
 from capture2vr.cli.demonstration.demo_phone import simulate_capture
 from capture2vr.edge.arrays import Bools, Floats
 from capture2vr.edge.capture.nouns import Capture, Frame
+from capture2vr.edge.export.ply import stored_origin
 from capture2vr.edge.fusion.texture_views import hold_out_frames, texture_view
 from capture2vr.edge.mesh.align_to_reference import align_to_surface
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.sampling import sample
+from capture2vr.edge.origin import MEASURED
 from capture2vr.edge.photos.depth_maps import at_texture_resolution
 from capture2vr.edge.photos.to_depth import to_depth
 from capture2vr.edge.pipeline import reconstruct
@@ -221,7 +223,7 @@ def closing_figures(quality: Mapping[str, Any]) -> dict[str, Any]:
         "border": round(quality["border_over_root"], 2),
         "fringe": round(quality["fringe"], 2),
         "largest hole %": percent(quality["largest_hole"]),
-        "filled %": percent(quality["filled_area"]),
+        "filled %": percent(quality["origins"]["filled"]),
         "grade": grade and grade["level"],
     }
 
@@ -268,8 +270,9 @@ def full_mesh(bundle: Bundle) -> Mesh:
 
 def filled_vertices(bundle: Bundle) -> Bools:
     """(V,) the vertices of the full mesh that nobody measured."""
-    vertices = _loaded(bundle).metadata["_ply_raw"]["vertex"]["data"]
-    return vertices["filled"] > 0 if "filled" in vertices.dtype.names else np.zeros(len(vertices), bool)
+    loaded = _loaded(bundle)
+    origin = stored_origin(loaded)
+    return np.zeros(len(loaded.vertices), bool) if origin is None else origin != MEASURED
 
 
 def _loaded(bundle: Bundle) -> Any:

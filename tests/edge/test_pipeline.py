@@ -17,7 +17,9 @@ from capture2vr.edge.capture.nouns import Capture, Cloud, Frame, Intrinsics
 from capture2vr.edge.capture_to_points import STARTS
 from capture2vr.edge.errors import Cancelled, EdgeError
 from capture2vr.edge.export.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
+from capture2vr.edge.export.ply import stored_origin
 from capture2vr.edge.job_resources import JobResources
+from capture2vr.edge.origin import FILLED
 from capture2vr.edge.pipeline import PREVIEW_STARTS, reconstruct
 from capture2vr.edge.preset import Preset, load_preset
 from capture2vr.edge.progress import Progress
@@ -254,21 +256,23 @@ def test_held_out_pictures_stand_in_the_certificate_and_never_among_the_files(sh
     assert textured["cover"] > 0.85
     assert textured["lace"] < 0.02
     assert textured["psnr"] > 15
-    assert list(sheet_bundles[-1].private) == ["photo-1.jpg", "photo-2.jpg"]
+    assert list(sheet_bundles[-1].private) == ["photo-1.jpg", "photo-2.jpg", "origin.png"]
     assert not set(sheet_bundles[-1].files) & set(sheet_bundles[-1].private)
 
 
 def test_what_no_depth_shows_is_filled_and_marked_unless_that_is_not_wanted(sheet_bundles: list[Bundle]) -> None:
-    assert sheet_bundles[-1].manifest["quality"]["filled_area"] == pytest.approx(np.pi * 0.03**2 / 0.9**2, rel=0.8)
+    shares = sheet_bundles[-1].manifest["quality"]["origins"]
+    assert shares["filled"] == pytest.approx(np.pi * 0.03**2 / 0.9**2, rel=0.8)
+    assert sum(shares.values()) == pytest.approx(1)
     mesh = trimesh.load(io.BytesIO(sheet_bundles[-1].files["mesh.ply"]), file_type="ply", process=False)
-    marked = np.asarray(mesh.metadata["_ply_raw"]["vertex"]["data"]["filled"], bool)
+    marked = stored_origin(mesh) == FILLED
     assert marked.any()
     off = np.linalg.norm(mesh.vertices[marked] - [0, 0, 1], axis=1)
     assert off.max() < 0.06
     *_, kept = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96), JobOptions(fill="none"))
     assert isinstance(kept, Bundle)
-    assert kept.manifest["quality"]["filled_area"] == 0
-    assert b"property uchar filled" not in kept.files["mesh.ply"][:400]
+    assert kept.manifest["quality"]["origins"]["filled"] == 0
+    assert b"property uchar origin" not in kept.files["mesh.ply"][:400]
 
 
 def test_splats_are_trained_on_the_photos_where_the_preset_says_so(sheet_bundles: list[Bundle]) -> None:
@@ -315,7 +319,7 @@ def test_a_true_opening_stays_open(hole: str) -> None:
     mesh = trimesh.load(io.BytesIO(bundle.files["mesh.ply"]), file_type="ply", process=False)
     near = mesh.triangles_center[np.abs(mesh.triangles_center[:, 2] - 1) < 0.1]
     assert np.hypot(near[:, 0], near[:, 1]).min() > 0.015
-    assert bundle.manifest["quality"]["filled_area"] < 0.001
+    assert bundle.manifest["quality"]["origins"]["filled"] < 0.001
 
 
 def test_the_same_capture_gives_the_same_bytes() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import meshopt
 import numpy as np
 
-_TYPES = {5126: "<f4", 5120: "i1", 5123: "<u2", 5125: "<u4"}
+_TYPES = {5126: "<f4", 5120: "i1", 5121: "u1", 5123: "<u2", 5125: "<u4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MESHOPT = "EXT_meshopt_compression"
 
@@ -41,7 +41,7 @@ class Glb:
         stride = view.get("byteStride", width * kind.itemsize)
         count = accessor["count"]
         rows = np.frombuffer(self._content(view), kind, count * stride // kind.itemsize).reshape(count, -1)
-        return rows[:, :width] if width > 1 else rows.ravel()
+        return rows[:, :width] if width > 1 else rows[:, 0]
 
     def attribute(self, name: str) -> np.ndarray[Any, Any]:
         return self.accessor(self.primitive["attributes"][name])

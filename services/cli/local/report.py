@@ -8,6 +8,7 @@ from html import escape
 from typing import Any
 
 from capture2vr.cli.grade_line import grade_line, origin_line, other_warnings
+from capture2vr.edge.origin import COLOURS, PICTURE
 
 _ROWS = {
     "held_out": ("held-out points", "not used for either surface; if 0, the input points are used instead", "{:,}"),
@@ -16,7 +17,6 @@ _ROWS = {
     "held_out_p95": ("95th percentile", "", "{:.5f}"),
     "coverage": ("coverage", "fraction of them within one point spacing of the surface", "{:.1%}"),
     "stray_area": ("stray area", "fraction of the surface without points near it", "{:.2%}"),
-    "filled_area": ("filled in", "fraction of the surface that no photo shows surely", "{:.2%}"),
     "consistency": (
         "inconsistency of the field",
         "1 − |cos| between its gradients at a point and at the point's projection",
@@ -70,7 +70,7 @@ def report_page(
 
     pictures  PNG by state, the preview first
     compared  JPEG by name: what a cut kept and what it was made from; held-out photos beside renderings, with holes
-              marked
+              marked; and as PNG what was measured and what was not
     """
     title = escape(report["label"] or report["key"])
     certificates = {state: each for state, each in report["certificates"].items() if each}
@@ -90,6 +90,7 @@ def report_page(
             *_certificate_rows(certificates),
             "</table>",
             *_cut(report["capture"].get("cut"), compared or {}),
+            *_origins(report["origins"], compared or {}),
             *_pieces(certificates),
             *_compared_photos(compared or {}),
             *_reference_table(report["reference"]),
@@ -125,6 +126,25 @@ _CUT_PICTURES = {
 }
 
 
+def _origins(points: Mapping[str, int], compared: Mapping[str, bytes]) -> Iterator[str]:
+    """Yield what was measured, proposed and filled: the points' numbers, and a picture; nothing without one."""
+    if PICTURE not in compared:
+        return
+    picture = f"data:image/png;base64,{b64encode(compared[PICTURE]).decode()}"
+    yield f'<h2>What was measured</h2><figure><img src="{picture}" alt="{PICTURE}"><figcaption>'
+    for (key, (name, _)), colour in zip(_ORIGINS.items(), COLOURS, strict=True):
+        yield f'<b style="color: rgb{colour}">■</b> {name} ({points[key]:,} points) '
+    yield "</figcaption></figure>"
+
+
+_ORIGINS = {
+    "measured": ("measured", "share of the surface that pictures or a scanner saw"),
+    "proposed": ("proposed", "share of the surface that is a guess"),
+    "filled": ("filled in", "share of the surface that closes what is around it, and no picture shows surely"),
+}
+"""Name of an origin -> name for people, explanation; in the order of `COLOURS`."""
+
+
 def _jpeg(content: bytes) -> str:
     return f"data:image/jpeg;base64,{b64encode(content).decode()}"
 
@@ -144,7 +164,8 @@ def _pieces(certificates: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
 
 def _compared_photos(compared: Mapping[str, bytes]) -> Iterator[str]:
     """Yield held-out photos beside renderings from the same camera."""
-    photos = {name: content for name, content in compared.items() if name not in _CUT_PICTURES}
+    apart = (*_CUT_PICTURES, PICTURE)
+    photos = {name: content for name, content in compared.items() if name not in apart}
     if not photos:
         return
     yield "<h2>Compared with photos that were not used</h2>"
@@ -253,6 +274,9 @@ def _figure(state: str, png: bytes) -> str:
 
 
 def _certificate_rows(certificates: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    for key, (name, meaning) in _ORIGINS.items():
+        figures = "".join(f'<td class="figure">{each["origins"][key]:.2%}</td>' for each in certificates.values())
+        yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"
     for key, (name, meaning, form) in _ROWS.items():
         figures = "".join(f'<td class="figure">{form.format(each[key])}</td>' for each in certificates.values())
         yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"

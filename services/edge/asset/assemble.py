@@ -11,6 +11,7 @@ from capture2vr.edge.asset.capture_files import capture_files
 from capture2vr.edge.asset.cut_pictures import pictures_of_cut
 from capture2vr.edge.asset.levels import add_textures, build_levels, pack_glb, preview_images
 from capture2vr.edge.asset.manifest import AssetSubject, MeasuredSurface, asset_frame, build_manifest
+from capture2vr.edge.asset.origin_picture import pictures_of_origin
 from capture2vr.edge.asset.photo_check import check_textures_with_photos, figures_with_textures, marked_pictures
 from capture2vr.edge.asset.splat_file import splat_file
 from capture2vr.edge.asset.target import measure_cost, require_budget
@@ -67,7 +68,8 @@ def colour_levels(
     with clock("TEXTURING"):
         if points.rgb is not None:
             mesh_unit = transfer_colours(mesh_unit, subject.xyz_unit, points.rgb)
-        full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
+        vertices, origin = subject.unit.to_world(mesh_unit.vertices), surface.surface.vertex_origin
+        full = replace(mesh_unit, vertices=vertices, origin=origin)
         to_asset = asset_frame(full.vertices, points) if to_asset is None else to_asset
         tick = part_of(bar.tick("TEXTURING"), 0, _LODS_SHARE)
         return ColouredLevels(full, to_asset, build_levels(full, to_asset, subject, tick))
@@ -114,13 +116,13 @@ def assemble_bundle(
         costs = [measure_cost(glb) for glb in files.values()]
         files |= preview_images(assets, last=last, brief=edition.brief, mark=_mark_of(subject), tick=tick)
         files |= splats
-        filled = surface.surface.filled_vertices if surface.surface.filled.any() else None
-        files["mesh.ply"] = ply_bytes(coloured.full, filled=filled, offset=subject.points.offset)
+        files["mesh.ply"] = ply_bytes(coloured.full, offset=subject.points.offset)
         quality, private = edition.quality, dict[str, bytes]()
         if last:
             files |= capture_files(subject.colours, to_asset)
             photos, private = _beside_photos(assets[0], surface, subject, to_asset)
             quality = {**quality, **photos}
+            private |= pictures_of_origin(levels[len(levels) // 2])
     manifest = build_manifest(
         subject,
         quality=quality,

@@ -14,6 +14,7 @@ from capture2vr.edge.arrays import Floats
 from capture2vr.edge.capture.nouns import PictureCamera
 from capture2vr.edge.export.laz import laz_bytes
 from capture2vr.edge.export.z_up import Z_UP, z_up
+from capture2vr.edge.origin import nearest_origin
 from capture2vr.edge.points.downsample import voxel_downsample_to
 from capture2vr.edge.points.nouns import Points
 from capture2vr.order.download_formats import CAMERAS, POINTS
@@ -25,7 +26,8 @@ MOST_POINTS = 1_000_000
 def capture_files(points: Points, to_asset: Floats) -> dict[str, bytes]:
     """Return the files by name; cameras only of photos. to_asset (4,4): from the capture frame to the asset frame"""
     xyz, rgb = voxel_downsample_to(points.xyz, points.rgb, MOST_POINTS)
-    files = {POINTS: laz_bytes(z_up(xyz @ to_asset[:3, :3].T + to_asset[:3, 3]), rgb)}
+    origin = points.origin if xyz is points.xyz else nearest_origin(points.xyz, points.origin, xyz)
+    files = {POINTS: laz_bytes(z_up(xyz @ to_asset[:3, :3].T + to_asset[:3, 3]), rgb, origin)}
     if points.cameras:
         files[CAMERAS] = json.dumps({"cameras": [_camera(each, to_asset) for each in points.cameras]}).encode()
     return files

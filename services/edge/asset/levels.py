@@ -14,6 +14,7 @@ from capture2vr.edge.export.ktx2 import EncodeKtx2
 from capture2vr.edge.export.usdz import to_phone_usdz
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.mesh.simplify import lods
+from capture2vr.edge.origin import PROPOSED, nearest_origin
 from capture2vr.edge.parallel import in_threads, shared_ticks
 from capture2vr.edge.render.contact_sheet import render_sheet
 from capture2vr.edge.render.place_views import posed_picture
@@ -37,7 +38,9 @@ def in_asset_frame(full: Mesh, to_asset: Floats) -> Mesh:
 def build_levels(full: Mesh, to_asset: Floats, subject: AssetSubject, tick: Tick) -> tuple[Mesh, ...]:
     """Simplify a mesh in the capture frame to its levels of detail in the asset frame, finest first."""
     budgets = subject.target.lod_faces or subject.preset.lod_faces
-    return lods(in_asset_frame(full, to_asset), budgets, binding=bool(subject.target.lod_faces), tick=tick)
+    whole = in_asset_frame(full, to_asset)
+    levels = lods(replace(whole, origin=None), budgets, binding=bool(subject.target.lod_faces), tick=tick)
+    return tuple(replace(each, origin=nearest_origin(whole.vertices, whole.origin, each.vertices)) for each in levels)
 
 
 def add_textures(
@@ -57,7 +60,9 @@ def add_textures(
     target, points = subject.target, subject.colours
     if points.rgb is None or not target.texture_px:
         return tuple(levels), ()
-    known = ColouredPoints.of(points.xyz @ to_asset[:3, :3].T + to_asset[:3, 3], points.rgb, points.inferred)
+    kept = None if points.origin is None else points.origin == PROPOSED
+    xyz = points.xyz @ to_asset[:3, :3].T + to_asset[:3, 3]
+    known = ColouredPoints.of(xyz, points.rgb, points.inferred, kept)
     palette = Palette(known)
     if points.texture_views:
         posed = [posed_picture(view, to_asset) for view in points.texture_views]

@@ -17,6 +17,7 @@ from capture2vr.edge.capture.facts import CaptureFacts
 from capture2vr.edge.certificate import Certificate, Evidence
 from capture2vr.edge.mesh.fill_gaps import FilledMesh
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.origin import counts
 from capture2vr.edge.points.anchor_points import cluster_anchors
 from capture2vr.edge.points.nouns import Points, UnitFrame
 from capture2vr.edge.preset import Preset
@@ -24,7 +25,7 @@ from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.option_table import Fill
 from capture2vr.sentences.sentence import say
 
-_TOLD = 0.005  # share of filled surface from which on a person is told
+_TOLD = 0.005  # share of proposed or filled surface from which on a person is told
 _DEFAULT_UP = np.array([0.0, 1.0, 0.0])  # as in modelling tools and glTF; scanners that differ say so in their format
 _UPRIGHT = 1e-3  # sine of the angle to the vertical below which a direction has no horizontal part to speak of
 
@@ -102,7 +103,7 @@ class AssetSubject:
 class MeasuredSurface:
     """A field's mesh in the unit frame, with its quality figures and those of the training.
 
-    surface     the mesh, and which of its faces fill holes
+    surface     the mesh, and which of its faces were measured, proposed or filled
     resolution  grid cells along the longest side
     check       comparison with the held-out photos, once it is made
     steps       of training, 0 for the local field; device: where it was trained
@@ -124,21 +125,24 @@ class MeasuredSurface:
 
     def warnings(self) -> tuple[str, ...]:
         """Sentences about what a person would notice of the surface."""
-        share = self.surface.share
-        filled = say("surface_filled_in_photos_show", share=share) if share >= _TOLD else ""
-        return (*((filled,) if filled else ()), *self.check.warnings())
+        told, shares = [], self.surface.shares
+        if shares["measured"] > 0 and shares["proposed"] >= _TOLD:  # a guess that has no other surface says so itself
+            told.append(say("surface_proposed_not_measured", share=shares["proposed"]))
+        if shares["filled"] >= _TOLD:
+            told.append(say("surface_filled_in_photos_show", share=shares["filled"]))
+        return (*told, *self.check.warnings())
 
     @property
     def grade(self) -> Grade | None:
         """How good the surface is; None where there are no photos to tell."""
-        return grade_asset(self.certificate, self.check, self.surface.share)
+        return grade_asset(self.certificate, self.check, 1 - self.surface.shares["measured"])
 
     def quality(self, preset: Preset, seconds: Mapping[str, float]) -> dict[str, Any]:
         """The manifest's `quality` entry: certificate and training; seconds: by stage, up to here."""
         return {
             "resolution": self.resolution,
             **self.certificate.as_json(),
-            "filled_area": round(self.surface.share, 5),
+            "origins": self.surface.shares,
             "grade": None if (grade := self.grade) is None else grade.as_json(),
             "preset": preset.name,
             "steps": self.steps,
@@ -185,8 +189,9 @@ def build_manifest(
             "cut": None if points.cut is None else asdict(points.cut),
         },
         "origin": source.origin,
-        "confidence": round(float(points.confidence[points.measured].mean()), 3),
-        "points": int(points.measured.sum()) + quality["held_out"],
+        "origins": counts(subject.colours.origin, len(subject.colours)),
+        "confidence": round(float(points.confidence[points.given].mean()), 3),
+        "points": int(points.given.sum()) + quality["held_out"],
         "anchors": {"xyz_m": anchors.ravel().tolist(), "rgb": anchor_colours.ravel().tolist()},
         "models": _models(points),
         "edits": points.edits.as_json,

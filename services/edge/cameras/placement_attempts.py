@@ -15,7 +15,7 @@ from capture2vr.edge.cameras.features import FAST, FINE, Features, SiftSettings,
 from capture2vr.edge.cameras.learned_matches import LONGEST_PX, find_matches, is_installed, with_learned
 from capture2vr.edge.cameras.match_pairs import MANY, exhaustive, sequential, with_all
 from capture2vr.edge.cameras.sfm_process import Lens, SfmProblem, SfmResult, solve
-from capture2vr.edge.capture.nouns import Intrinsics, Photo
+from capture2vr.edge.capture.nouns import FEW_PHOTOS, MIN_PHOTOS, Intrinsics, Photo
 from capture2vr.edge.errors import EdgeError
 
 _GOOD = 0.9  # share of the photos placed, from which on only the photos that were left out are tried again
@@ -70,7 +70,9 @@ class Attempt:
 
     @property
     def enough(self) -> bool:
-        """Whether enough photos were placed for the capture to be used."""
+        """Whether enough photos were placed for the capture to be used; of a few, whichever could be."""
+        if MIN_PHOTOS <= len(self.answer.placed) <= len(self.features) <= FEW_PHOTOS:
+            return True
         placed_somewhere = float((self.answer.model_of >= 0).mean())
         return self.share >= ENOUGH or (placed_somewhere >= ENOUGH and self.share >= _ENOUGH_OF_PIECES)
 

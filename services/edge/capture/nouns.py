@@ -15,6 +15,7 @@ CaptureKind = Literal["points", "rgbd", "photos", "image"]
 ScaleConfidence = Literal["metric", "estimated", "unknown"]
 
 MIN_PHOTOS = 3  # depth from two views needs a third view that confirms it
+FEW_PHOTOS = 8  # up to so many are used as far as they can be placed, however few of them; of none, one may be a relief
 WALK_AROUND_ADVICE = say("take_15_to_30_photos")
 
 

@@ -45,8 +45,8 @@ def _pictures_and_masks(folder: Folder) -> list[str]:
 def read(folder: Folder) -> Capture:
     """Read the photos in the folder; for those that cannot be read the capture has verdicts.
 
-    A single photo is a capture of kind "image". With fewer than MIN_PHOTOS readable photos, raises CAPTURE_UNREADABLE
-    or IMAGE_TOO_LARGE, naming the first unreadable one, or CAPTURE_LOW_OVERLAP when all of them can be read.
+    A single photo is a capture of kind "image". Where unreadable ones leave fewer than MIN_PHOTOS, raises
+    CAPTURE_UNREADABLE or IMAGE_TOO_LARGE, naming the first; CAPTURE_LOW_OVERLAP where there is none.
     """
     everything, masks = split_masks(folder, _pictures_and_masks(folder))
     names, copies = without_copies(folder, everything)
@@ -67,7 +67,7 @@ def read(folder: Folder) -> Capture:
     photos = [photo for photo, shown in every if shown is None]
     used = evenly_spaced(panoramas, MAX_PHOTOS // VIEWS)
     photos += by_direction(used)
-    if len(photos) < MIN_PHOTOS:
+    if len(photos) < (MIN_PHOTOS if errors else 2):
         raise _too_few_readable(errors[0], len(photos)) if errors else _too_few_photos(photos)
     return Capture(
         "photos",

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bytes, Floats, Tick, no_tick, part_of, pick
+from capture2vr.edge.arrays import Tick, no_tick, part_of, pick
 from capture2vr.edge.closing.missing_points import infer_missing
 from capture2vr.edge.closing.thin_parts import find_thin_parts
+from capture2vr.edge.origin import FILLED, MEASURED
 from capture2vr.edge.points.clean_cloud import MIN_POINTS
 from capture2vr.edge.points.nouns import Points, UnitFrame
 from capture2vr.edge.points.plane import Plane
@@ -47,9 +48,9 @@ def close_object(points: Points, support: Plane | None, fill: Fill, tick: Tick =
         tick(1.0)
     else:
         rest = _closed(rest, unit, pictures, below, fill, part_of(tick, _THIN, 1))
-        coloured = rest.subset(rest.measured)
+        coloured = rest.subset(rest.given)
     nearest = cKDTree(coloured.xyz).query(lines)[1]
-    return _with_points(rest, lines, pick(coloured.rgb, nearest), coloured.confidence[nearest], inferred=False)
+    return rest.joined(lines, pick(coloured.rgb, nearest), coloured.confidence[nearest], MEASURED)
 
 
 def _closed(
@@ -59,16 +60,4 @@ def _closed(
     missing = infer_missing(unit.to_unit(points.xyz), points.rgb, pictures, below, fill, tick)
     kept = replace(points, xyz=unit.to_world(missing.measured), closed=missing.closed).subset(~missing.fringe)
     none_sure = np.zeros(len(missing.xyz), np.float32)
-    return _with_points(kept, unit.to_world(missing.xyz), missing.rgb, none_sure, inferred=True)
-
-
-def _with_points(points: Points, xyz: Floats, rgb: Bytes | None, confidence: Floats, *, inferred: bool) -> Points:
-    """Return the points with more of them behind these, which were measured or inferred."""
-    marks = np.concatenate([~points.measured, np.full(len(xyz), inferred)])
-    return replace(
-        points,
-        xyz=np.concatenate([points.xyz, xyz]),
-        rgb=None if points.rgb is None or rgb is None else np.concatenate([points.rgb, rgb]),
-        confidence=np.concatenate([points.confidence, confidence]),
-        inferred=marks if marks.any() else None,
-    )
+    return kept.joined(unit.to_world(missing.xyz), missing.rgb, none_sure, FILLED)

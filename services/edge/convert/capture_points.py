@@ -7,19 +7,22 @@ from io import BytesIO
 
 import numpy as np
 
-from capture2vr.edge.arrays import Bytes, Floats, Ints
+from capture2vr.edge.arrays import Bytes, Floats, Ints, pick
 from capture2vr.edge.export.ply import ply_bytes
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.origin import told
 
 _GREY = 128  # sRGB, of points without colours where a format must have some
 
 
 @dataclass(frozen=True, slots=True)
 class CapturePoints:
-    """Points as the bundle has them: xyz (N,3) metres, Z up; rgb (N,3) uint8 sRGB or None."""
+    """Points as the bundle has them: xyz (N,3) metres, Z up; rgb (N,3) uint8 sRGB or None; origin (N,) uint8, as
+    `edge/origin.py`, or None where all are measured."""
 
     xyz: Floats
     rgb: Bytes | None
+    origin: Bytes | None = None
 
     @classmethod
     def read(cls, laz: bytes) -> CapturePoints:
@@ -33,17 +36,18 @@ class CapturePoints:
         rgb = None
         if "red" in las.point_format.dimension_names:
             rgb = (np.stack([las.red, las.green, las.blue], axis=1) >> 8).astype(np.uint8)
-        return cls(np.asarray(las.xyz, np.float64), rgb)
+        return cls(np.asarray(las.xyz, np.float64), rgb, told(np.asarray(las.user_data, np.uint8)))
 
     def at_most(self, count: int) -> CapturePoints:
         """Return every n-th point: the bundle's are in the order of a grid, so they stay evenly spread."""
         step = -(-len(self.xyz) // count)
-        return CapturePoints(self.xyz[::step], None if self.rgb is None else self.rgb[::step])
+        every: Ints = np.arange(0, len(self.xyz), step)
+        return CapturePoints(self.xyz[every], pick(self.rgb, every), pick(self.origin, every))
 
     def ply(self) -> bytes:
         """Encode as binary PLY without triangles."""
         nothing: Ints = np.zeros((0, 3), np.int64)
-        return ply_bytes(Mesh(self.xyz, nothing, self.rgb))
+        return ply_bytes(Mesh(self.xyz, nothing, self.rgb, self.origin))
 
     def colmap_text(self) -> str:
         """Format the points as COLMAP's points3D.txt: id, position, colour and error per line, without tracks."""

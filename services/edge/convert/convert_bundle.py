@@ -25,7 +25,7 @@ from capture2vr.edge.convert.tileset_zip import tileset_zip
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.export.glb_buffer import with_extras
 from capture2vr.edge.export.obj import to_obj_zip
-from capture2vr.edge.export.ply import ply_bytes
+from capture2vr.edge.export.ply import ply_bytes, stored_origin
 from capture2vr.edge.export.usdz import to_phone_usdz
 from capture2vr.edge.export.z_up import z_up
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
@@ -188,4 +188,4 @@ def _full(bundle: BundleFolder) -> Mesh:
     rgb = None if colours is None else np.asarray(colours.vertex_colors, np.uint8)[:, :3]
     to_asset = bundle.to_asset
     vertices = np.asarray(found.vertices, np.float64) @ to_asset[:3, :3].T + to_asset[:3, 3]
-    return Mesh(vertices, np.asarray(found.faces, np.int64), rgb)
+    return Mesh(vertices, np.asarray(found.faces, np.int64), rgb, stored_origin(found))

@@ -12,11 +12,11 @@ import meshopt
 import numpy as np
 from numpy.typing import NDArray
 
-from capture2vr.edge.export.glb import KTX2
+from capture2vr.edge.export.glb import KTX2, ORIGIN
 from capture2vr.edge.mesh.nouns import Mesh, TexturedMesh
 from capture2vr.edge.srgb import to_srgb
 
-_TYPES = {5126: "<f4", 5120: "i1", 5123: "<u2", 5125: "<u4"}  # of accessors, by OpenGL's numbers
+_TYPES = {5126: "<f4", 5120: "i1", 5121: "u1", 5123: "<u2", 5125: "<u4"}  # of accessors, by OpenGL's numbers
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MESHOPT, _UNLIT = "EXT_meshopt_compression", "KHR_materials_unlit"
 
@@ -55,7 +55,8 @@ def _level(reader: _GlbFile) -> StoredLevel:
     rgb = None
     if "COLOR_0" in attributes:
         rgb = to_srgb(reader.accessor(attributes["COLOR_0"])[:, :3] / 65535)
-    mesh, images = Mesh(vertices, faces, rgb), document.get("images", [])
+    origin = reader.accessor(attributes[ORIGIN]) if ORIGIN in attributes else None
+    mesh, images = Mesh(vertices, faces, rgb, origin), document.get("images", [])
     ktx2 = bool(images) and images[0]["mimeType"] == KTX2
     used = document.get("extensionsUsed", ())
     made = mesh if ktx2 or not images else _textured(reader, mesh, attributes, images)
@@ -95,7 +96,8 @@ class _GlbFile:
         stride = view.get("byteStride", width * kind.itemsize)
         count = accessor["count"]
         rows = np.frombuffer(self.view(accessor["bufferView"]), kind, count * stride // kind.itemsize)
-        return rows.reshape(count, -1)[:, :width] if width > 1 else rows
+        table = rows.reshape(count, -1)[:, :width]
+        return table if width > 1 else table[:, 0]
 
     def view(self, number: int) -> bytes:
         """Return the bytes of a buffer view, decompressed."""

@@ -30,6 +30,9 @@ from capture2vr.sentences.sentence import say
 
 Packing = Literal["float", "meshopt"]
 
+ORIGIN = "_ORIGIN"
+"""Vertex attribute of a mesh not all of which was measured: 0 measured, 1 proposed, 2 filled, as `edge/origin.py`."""
+
 KTX2 = "image/ktx2"
 """Media type of a KTX2 image; all others are JPEG."""
 
@@ -136,6 +139,8 @@ def _file(
     mesh = drawn.mesh
     if mesh.rgb is not None:
         attributes["COLOR_0"] = buffer.add(rgba16(mesh.rgb, light), "VEC4", _USHORT, normalized=True)
+    if mesh.origin is not None:
+        attributes[ORIGIN] = buffer.add_bytes(mesh.origin)
     # 65535 itself is the primitive restart value and may not be an index.
     kind, component = (np.uint16, _USHORT) if len(mesh.vertices) <= 65535 else (np.uint32, _UINT)
     indices = buffer.add_indices(mesh.faces.astype(kind).ravel(), component)

@@ -13,7 +13,7 @@ import capture2vr
 from capture2vr.edge.arrays import Floats
 from capture2vr.edge.export import meshopt
 
-_BYTE = 5120  # component type
+_BYTE, _UBYTE = 5120, 5121  # component types
 _VERTICES, _INDICES = 34962, 34963  # buffer view targets
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MESHOPT = "EXT_meshopt_compression"
@@ -74,6 +74,12 @@ class Buffer:
         if rows.shape[1] != _WIDTHS[shape]:
             view["byteStride"] = rows.strides[0]
         return self._append(accessor, view | self._stored_rows(rows))
+
+    def add_bytes(self, numbers: NDArray[np.uint8]) -> int:
+        """Append one byte (n,) a vertex, padded to a 32-bit word; return the number of its accessor."""
+        rows = np.zeros((len(numbers), 4), np.uint8)
+        rows[:, 0] = numbers
+        return self.add(rows, "SCALAR", _UBYTE)
 
     def add_indices(self, indices: NDArray[Any], component: int) -> int:
         """Append the vertex indices of triangles (3F,); return the number of their accessor."""

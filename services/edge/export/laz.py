@@ -1,4 +1,8 @@
-"""Write points as LAZ, the compressed form of LAS 1.2, in which every program for point clouds reads colours."""
+"""Write points as LAZ, the compressed form of LAS 1.2, in which every program for point clouds reads colours.
+
+The origin of each point is in its user data, a byte that all point formats have and that viewers show as a scalar: a
+classification has other meanings (2 is ground), and fields of one's own need LAS 1.4.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +20,11 @@ _PLAIN, _COLOURED = 0, 2  # point formats
 _DATE = date(2000, 1, 1)  # of the file's creation, so that equal points give equal bytes
 
 
-def laz_bytes(xyz: Floats, rgb: Bytes | None) -> bytes:
-    """Encode points (N,3), N ≥ 1, in metres with Z up, and their colours (N,3) uint8 sRGB."""
+def laz_bytes(xyz: Floats, rgb: Bytes | None, origin: Bytes | None = None) -> bytes:
+    """Encode points (N,3), N ≥ 1, in metres with Z up, and their colours (N,3) uint8 sRGB.
+
+    origin (N,) uint8: 0 measured, 1 proposed, 2 filled, as `edge/origin.py`; None: all are measured
+    """
     import laspy
 
     header = laspy.LasHeader(version="1.2", point_format=_PLAIN if rgb is None else _COLOURED)
@@ -30,6 +37,8 @@ def laz_bytes(xyz: Floats, rgb: Bytes | None) -> bytes:
     las.x, las.y, las.z = xyz.T
     if rgb is not None:
         las.red, las.green, las.blue = rgb.astype(np.uint16).T * _SIXTEEN_BITS
+    if origin is not None:
+        las.user_data = origin
     out = BytesIO()
     las.write(out, do_compress=True)
     return out.getvalue()

@@ -43,7 +43,7 @@ def shaded(subject: Mesh | TexturedMesh) -> Shaded:
     count = len(welded.vertices)
     pairs, faces = np.unique(subject.mesh.faces * count + welded.faces, return_inverse=True)
     in_textured, in_welded = np.divmod(pairs, count)
-    mesh = Mesh(welded.vertices[in_welded], faces.reshape(-1, 3))
+    mesh = Mesh(welded.vertices[in_welded], faces.reshape(-1, 3), origin=pick(welded.origin, in_welded))
     return Shaded(mesh, normals[in_welded], subject.uv[in_textured])
 
 
@@ -69,6 +69,6 @@ def with_tangents(surface: Shaded) -> Shaded:
 
 def _weld(mesh: Mesh) -> Mesh:
     """Merge vertices at the same position."""
-    vertices, own = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    vertices, first, own = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     corners: Ints = own.ravel()[mesh.faces]
-    return Mesh(vertices, corners)
+    return Mesh(vertices, corners, origin=pick(mesh.origin, first))

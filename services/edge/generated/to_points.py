@@ -17,6 +17,7 @@ from capture2vr.edge.generated.align import align
 from capture2vr.edge.generated.read_mesh import read_generated
 from capture2vr.edge.generated.server import GeneratorServer, failed
 from capture2vr.edge.models.folder import ModelFolder
+from capture2vr.edge.origin import PROPOSED
 from capture2vr.edge.points.clean_cloud import cloud_points
 from capture2vr.edge.points.nouns import CutReport, Points
 from capture2vr.edge.points.unit import unit_frame
@@ -81,6 +82,7 @@ def generated_points(
         points,
         xyz=pose.placed(xyz),
         confidence=np.full(len(xyz), MOST_CONFIDENT, np.float32),
+        origin=np.full(len(xyz), PROPOSED, np.uint8),
         metres_per_unit=USUAL_M,
         scale_confidence="unknown",
         up_source=None,

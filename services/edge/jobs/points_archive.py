@@ -4,6 +4,7 @@ points.json     format version, and everything that is not an array
 xyz.npy         (N,3) float64 capture frame
 rgb.npy         (N,3) uint8 sRGB, absent where the capture has no colours
 confidence.npy  (N,) float32
+origin.npy      (N,) uint8, as edge/origin.py, absent where all points are measured
 whole.bin       all points of a large scene, of which the others are some: records of archived_whole.py
 view-N.picture  JPEG, for the textures, or to compare with, at most `COPY_PX` pixels on its longer side
 view-N.depth    .npy, (H,W) uint16, its depth in steps that points.json has; 0 where unknown
@@ -41,6 +42,7 @@ from capture2vr.edge.jobs.archived_views import (
 )
 from capture2vr.edge.jobs.archived_whole import MOST_WHOLE, RECORD, WHOLE, ArchivedWhole, read_whole, write_whole
 from capture2vr.edge.models.nouns import UsedModel
+from capture2vr.edge.origin import MEASURED, NAMES, PROPOSED
 from capture2vr.edge.points.clean_cloud import MIN_POINTS
 from capture2vr.edge.points.nouns import CutReport, Points, UnseenSide
 from capture2vr.edge.worker.capabilities import POINTS_VERSION
@@ -58,9 +60,9 @@ MOST_CAMERAS = 2_000
 MOST_MODELS = 16
 """Most learned models that may have had a part in a cloud."""
 
-_HEAD, _XYZ, _RGB, _CONFIDENCE, _INFERRED = "points.json", "xyz.npy", "rgb.npy", "confidence.npy", "inferred.npy"
+_HEAD, _XYZ, _RGB, _CONFIDENCE, _ORIGIN = "points.json", "xyz.npy", "rgb.npy", "confidence.npy", "origin.npy"
 _HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB, 2,000 cameras 1 MB
-_POINT_BYTES = 24 + 3 + 4 + 1  # xyz, rgb, confidence, inferred
+_POINT_BYTES = 24 + 3 + 4 + 1  # xyz, rgb, confidence, origin
 _LIMITS = ArchiveLimits(
     entries=6 + VIEW_FILES * MOST_VIEWS,
     total_bytes=_HEAD_BYTES
@@ -113,7 +115,7 @@ def write_prepared(prepared: PreparedPoints, archive: Path) -> None:
     """Write the zip atomically. Raises OSError where it cannot be written, CaptureError for a broken picture."""
     archive.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     points = prepared.points
-    rows = {_XYZ: points.xyz, _CONFIDENCE: points.confidence, _RGB: points.rgb, _INFERRED: points.inferred}
+    rows = {_XYZ: points.xyz, _CONFIDENCE: points.confidence, _RGB: points.rgb, _ORIGIN: points.origin}
     arrays = {name: array for name, array in rows.items() if array is not None}
     views = encode_views(points)
     with atomic_write(archive) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as packed:
@@ -143,7 +145,7 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
 def _files_of(head: _Head) -> set[str]:
     """Return the names of the files that an archive with this head has."""
     optional = ({_RGB} if head.coloured else set()) | ({WHOLE} if head.whole else set())
-    optional |= {_INFERRED} if head.completed else set()
+    optional |= {_ORIGIN} if head.completed else set()
     return {_HEAD, _XYZ, _CONFIDENCE} | view_files(head.views) | optional
 
 
@@ -151,11 +153,10 @@ def _read_points(scratch: Path, head: _Head) -> Points:
     """Read and check the arrays and pictures of an unpacked archive. Raises EdgeError POINTS_INVALID."""
     xyz, confidence = (_read_array(scratch / name, head.points) for name in (_XYZ, _CONFIDENCE))
     rgb = _read_array(scratch / _RGB, head.points) if head.coloured else None
-    inferred = _read_array(scratch / _INFERRED, head.points) if head.completed else None
+    origin = _read_array(scratch / _ORIGIN, head.points) if head.completed else None
     _require_cloud(xyz)
     _require_confidences(confidence)
-    if inferred is not None and (~inferred).sum() < MIN_POINTS:
-        raise invalid("leaves hardly any measured points", _INFERRED)
+    _require_origins(origin)
     views = read_views(scratch, head.views, _HEAD)
     return Points(
         texture_views=tuple(view for view, each in zip(views, head.views, strict=True) if not each.held_out),
@@ -163,7 +164,7 @@ def _read_points(scratch: Path, head: _Head) -> Points:
         xyz=xyz,
         rgb=rgb,
         confidence=confidence,
-        inferred=inferred,
+        origin=origin,
         closed=head.closed,
         metres_per_unit=head.metres_per_unit,
         scale_confidence=head.scale_confidence,
@@ -189,7 +190,7 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
         version=POINTS_VERSION,
         points=len(points),
         coloured=points.rgb is not None,
-        completed=points.inferred is not None,
+        completed=points.origin is not None,
         closed=points.closed,
         metres_per_unit=float(points.metres_per_unit),
         scale_confidence=points.scale_confidence,
@@ -269,7 +270,7 @@ def _array_type(name: str, count: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
         _XYZ: ("<f8", (count, 3)),
         _RGB: ("|u1", (count, 3)),
         _CONFIDENCE: ("<f4", (count,)),
-        _INFERRED: ("|b1", (count,)),
+        _ORIGIN: ("|u1", (count,)),
     }
     kind, shape = kinds[name]
     return np.dtype(kind), shape
@@ -289,3 +290,13 @@ def _require_cloud(xyz: Any) -> None:
 def _require_confidences(confidence: Any) -> None:
     if not ((confidence >= 0) & (confidence <= 1)).all():  # false for NaN
         raise invalid("has confidences outside [0, 1]", _CONFIDENCE)
+
+
+def _require_origins(origin: Any) -> None:
+    """Check origins (N,), or None: some points are measured, or, of a guess, all are proposed."""
+    if origin is None or (origin == PROPOSED).all():
+        return
+    if origin.max() >= len(NAMES):
+        raise invalid("has origins that there are not", _ORIGIN)
+    if (origin == MEASURED).sum() < MIN_POINTS:
+        raise invalid("leaves hardly any measured points", _ORIGIN)

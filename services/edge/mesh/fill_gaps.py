@@ -17,14 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
 
-from capture2vr.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from capture2vr.edge.arrays import Bytes, Floats, Ints, Tick, no_tick
 from capture2vr.edge.mesh.edges import border_edges, border_loops, edges_of, neighbour_laplacian
 from capture2vr.edge.mesh.holes import edges_between, triangulate_loop
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.sampling import area, sample
+from capture2vr.edge.origin import FILLED, MEASURED, nearest_origin, shares
 from capture2vr.order.option_table import Fill
 
 MOST_CORNERS = 400
@@ -55,38 +55,35 @@ Ask = Callable[[Floats, Floats], Ints]
 
 @dataclass(frozen=True, slots=True)
 class FilledMesh:
-    """A mesh with its holes filled: filled (F,) the faces that nobody measured."""
+    """A mesh with its holes filled: origin (F,) uint8 of its faces, as `edge/origin.py`."""
 
     mesh: Mesh
-    filled: Bools
+    origin: Bytes
 
     @classmethod
     def unfilled(cls, mesh: Mesh) -> FilledMesh:
         """Wrap a mesh without filling any hole."""
-        return cls(mesh, np.zeros(len(mesh.faces), bool))
+        return cls(mesh, np.full(len(mesh.faces), MEASURED, np.uint8))
 
-    def with_inferred(self, xyz: Floats, measured: Bools) -> FilledMesh:
-        """Return the same mesh with the faces marked that were made from inferred points.
+    def with_origin_of(self, xyz: Floats, origin: Bytes | None) -> FilledMesh:
+        """Return the same mesh whose faces that fill no hole have the origin of the points that they were made from.
 
-        xyz (N,3) the points in the mesh's frame; measured (N,): mask of those that were measured
+        xyz (N,3) the points in the mesh's frame; origin (N,) theirs, None where all were measured
         """
-        if measured.all():
-            return self
-        nearest = cKDTree(xyz).query(self.mesh.vertices[self.mesh.faces].mean(axis=1), workers=-1)[1]
-        return FilledMesh(self.mesh, self.filled | ~measured[nearest])
+        nearest = nearest_origin(xyz, origin, self.mesh.vertices[self.mesh.faces].mean(axis=1))
+        return self if nearest is None else FilledMesh(self.mesh, np.maximum(self.origin, nearest))
 
     @property
-    def filled_vertices(self) -> Bools:
-        """Mask (V,) of the vertices that only added faces use."""
-        used = np.zeros(len(self.mesh.vertices), bool)
-        used[self.mesh.faces[~self.filled]] = True
-        return ~used
+    def vertex_origin(self) -> Bytes | None:
+        """Origin (V,) of the vertices, of several faces' the surest; None where all are measured."""
+        surest = np.full(len(self.mesh.vertices), FILLED, np.uint8)
+        np.minimum.at(surest, self.mesh.faces, self.origin[:, None])
+        return surest if self.origin.any() else None
 
     @property
-    def share(self) -> float:
-        """Share of the mesh's area that was added."""
-        areas = np.linalg.norm(face_normals(self.mesh.vertices, self.mesh.faces), axis=1)
-        return float(areas[self.filled].sum() / max(areas.sum(), 1e-300))
+    def shares(self) -> dict[str, float]:
+        """Shares of the mesh's area by its origin's name."""
+        return shares(self.origin, np.linalg.norm(face_normals(self.mesh.vertices, self.mesh.faces), axis=1))
 
 
 def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, *, closed: bool = False, tick: Tick = no_tick) -> FilledMesh:
@@ -120,7 +117,8 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, *, closed: bool = False, tick: T
     vertices = _fair(Mesh(vertices, np.concatenate([mesh.faces, added])), len(mesh.vertices))
     # Beside a jagged border, what was no sliver before may be one now, and folded.
     whole = Mesh(vertices, np.concatenate([mesh.faces, _flip_edges(vertices, added, chords)]))
-    return FilledMesh(whole, np.arange(len(whole.faces)) >= len(mesh.faces))
+    added_from = np.arange(len(whole.faces)) >= len(mesh.faces)
+    return FilledMesh(whole, np.where(added_from, FILLED, MEASURED).astype(np.uint8))
 
 
 def _loops_within_budget(loops: list[Ints]) -> list[Ints]:

@@ -17,16 +17,18 @@ if TYPE_CHECKING:  # other programs' types, which only those who ask for them ha
 class Mesh:
     """A triangle mesh, open or closed, orientable or not.
 
-    vertices (V,3) float64; faces (F,3) int64 into them; rgb (V,3) uint8 sRGB or None. The frame depends on the stage.
+    vertices (V,3) float64; faces (F,3) int64 into them; rgb (V,3) uint8 sRGB or None; origin (V,) uint8, as
+    `edge/origin.py`, or None where all is measured or not told yet. The frame depends on the stage.
     """
 
     vertices: Floats
     faces: Ints
     rgb: Bytes | None = None
+    origin: Bytes | None = None
 
     def with_vertices(self, which: Bools | Ints, faces: Ints) -> Mesh:
         """Copy with a selection of vertices (a mask, or indices in the new order), and `faces` (F,3) over them."""
-        return Mesh(self.vertices[which], faces, pick(self.rgb, which))
+        return Mesh(self.vertices[which], faces, pick(self.rgb, which), pick(self.origin, which))
 
     def to_trimesh(self) -> trimesh.Trimesh:
         """Convert to a mesh of trimesh, which writes GLB, PLY, OBJ and STL: `mesh.to_trimesh().export("mesh.glb")`.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from capture2vr.edge.arrays import Bytes, Floats
+from capture2vr.edge.origin import nearest_origin
 from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.points.voxel_grid import sum_groups, voxel_keys
 from capture2vr.edge.srgb import to_linear, to_srgb
@@ -65,6 +65,6 @@ def downsample_points(points: Points, most: int) -> Points:
     xyz, rgb = voxel_downsample_to(points.xyz, points.rgb, most)
     confidence = np.full(len(xyz), points.confidence.mean(), np.float32)
     warning = say("points_downsampled_evenly_to_preset", count=len(points), left=len(xyz))
-    inferred = None if points.inferred is None else points.inferred[cKDTree(points.xyz).query(xyz, workers=-1)[1]]
+    origin = nearest_origin(points.xyz, points.origin, xyz)
     warnings = (*points.warnings, warning)
-    return replace(points, xyz=xyz, rgb=rgb, confidence=confidence, inferred=inferred, warnings=warnings)
+    return replace(points, xyz=xyz, rgb=rgb, confidence=confidence, origin=origin, warnings=warnings)

@@ -20,6 +20,7 @@ from capture2vr.edge.capture.nouns import (
     UpSource,
 )
 from capture2vr.edge.models.nouns import UsedModel
+from capture2vr.edge.origin import MEASURED, told
 from capture2vr.order.edits import NO_EDITS, Edits
 
 
@@ -91,7 +92,7 @@ class Points:
     uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine;
     edits: the recipe that was applied;
     drawn_in: posed frames of the pictures that the recipe's lassos are in, until it is applied;
-    inferred (N,): mask of the points that nobody measured: they close what photos gave no depth of; None without any;
+    origin (N,) uint8: which points were measured, proposed or filled, as `edge/origin.py`; None where all are measured;
     closed: whether the object has no true openings, as far as photos and inferred points tell;
     offset (3,): what was subtracted from the coordinates of a survey's file, which are large; None for others;
     crs: coordinate reference system of that file, of xyz + offset, as in `Cloud`;
@@ -117,7 +118,7 @@ class Points:
     up_source: UpSource | None = None
     edits: Edits = NO_EDITS
     drawn_in: tuple[Frame, ...] = ()
-    inferred: Bools | None = None
+    origin: Bytes | None = None
     closed: bool = False
     offset: Floats | None = None
     crs: str = ""
@@ -134,13 +135,31 @@ class Points:
             xyz=self.xyz[which],
             rgb=pick(self.rgb, which),
             confidence=self.confidence[which],
-            inferred=pick(self.inferred, which),
+            origin=pick(self.origin, which),
+        )
+
+    def joined(self, xyz: Floats, rgb: Bytes | None, confidence: Floats, origin: int) -> Points:
+        """Return the points with more of them behind these, all of one origin."""
+        known = np.full(len(self), MEASURED, np.uint8) if self.origin is None else self.origin
+        return replace(
+            self,
+            xyz=np.concatenate([self.xyz, xyz]),
+            rgb=None if self.rgb is None or rgb is None else np.concatenate([self.rgb, rgb]),
+            confidence=np.concatenate([self.confidence, confidence]),
+            origin=told(np.append(known, np.full(len(xyz), origin, np.uint8))),
         )
 
     @property
-    def measured(self) -> Bools:
-        """Mask (N,) of the points that are not inferred."""
-        return np.ones(len(self), bool) if self.inferred is None else ~self.inferred
+    def given(self) -> Bools:
+        """Mask (N,) of the points that a surface is judged by: the measured ones; of a guess, which has none, all."""
+        measured = np.ones(len(self), bool) if self.origin is None else self.origin == MEASURED
+        return measured if measured.any() else ~measured
+
+    @property
+    def inferred(self) -> Bools | None:
+        """Mask (N,) of the points that complete the given ones, where nobody measured any; None without any."""
+        inferred = ~self.given
+        return inferred if inferred.any() else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -102,6 +102,11 @@ def own_colours(rgb: Bytes, mask: Bools) -> float:
     return float(np.abs(histograms[0] - histograms[1]).sum() / 2)
 
 
+def merit(rgb: Bytes, mask: Bools) -> float:
+    """How much a mask's object stands out of its picture, over 0: by what candidates are chosen."""
+    return _merit(rgb, mask, own_colours(rgb, mask))
+
+
 def overlap(one: Bools, other: Bools) -> float:
     """Intersection over union of two masks."""
     return float((one & other).sum() / max(1, (one | other).sum()))

@@ -7,6 +7,7 @@ import numpy as np
 from capture2vr.edge.arrays import Tick, no_tick
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.models.folder import ModelFolder
+from capture2vr.edge.origin import PROPOSED
 from capture2vr.edge.points.nouns import CutReport, Points
 from capture2vr.edge.single_photo.photo_window import USUAL_M
 from capture2vr.edge.single_photo.relief import MOST_CONFIDENT, make_relief
@@ -48,4 +49,5 @@ def to_points(
         texture_views=relief.views,
         cut=CutReport("object", say("photo_printed_on_outline")),
         closed=relief.closed,
+        origin=np.full(len(relief.xyz), PROPOSED, np.uint8),
     )

@@ -27,12 +27,16 @@ def with_light_of_photos(palette: Palette, mesh: Mesh) -> Palette:
     """Return a mesh's palette with new light of its inferred points.
 
     Points were coloured before the photos' exposures were matched, and photos show background close to outlines: spread
-    from measured points alone, their colours would end at a visible line.
+    from measured points alone, their colours would end at a visible line. A guess keeps its colours: no photo shows it,
+    and what is around it is the rim of what they show.
     """
     points = palette.points
     if points.inferred is None or palette.pictures is None or not points.inferred.any():
         return palette
-    own = np.flatnonzero(points.inferred | (points.inferred_share(points.xyz) > _MOST))
+    anew = points.inferred | (points.inferred_share(points.xyz) > _MOST)
+    own = np.flatnonzero(anew if points.kept is None else anew & ~points.kept)
+    if not len(own):
+        return palette
     near = points.tree.query(points.xyz[own], k=range(2, 2 + min(_NEIGHBOURS, len(points) - 1)), workers=-1)[1]
     nodes = np.unique(np.append(own, near))
     ends = np.stack([np.repeat(own, near.shape[1]), near.ravel()], axis=1)

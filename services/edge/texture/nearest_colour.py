@@ -19,19 +19,20 @@ _AROUND = 32  # nearest points that tell whether surface was inferred
 @dataclass(frozen=True, slots=True)
 class ColouredPoints:
     """Coloured points with a KD-tree: xyz (N,3), light (N,3) float32 linear, N ≥ 1; inferred (N,): mask of those that
-    were not measured, or None."""
+    were not measured, or None; kept (N,): mask of those of them whose colours are their own, or None."""
 
     xyz: Floats
     light: Floats
     tree: cKDTree
     inferred: Bools | None = None
+    kept: Bools | None = None
 
     @classmethod
-    def of(cls, xyz: Floats, rgb: Bytes, inferred: Bools | None = None) -> ColouredPoints:
+    def of(cls, xyz: Floats, rgb: Bytes, inferred: Bools | None = None, kept: Bools | None = None) -> ColouredPoints:
         """Index points with rgb (N,3) uint8 sRGB. Raises ValueError where the two differ in length or are empty."""
         if len(xyz) != len(rgb) or len(xyz) == 0:
             raise ValueError(f"{len(xyz)} points but {len(rgb)} colours: both must be equal in number, at least one")
-        return cls(xyz, to_linear(rgb), cKDTree(xyz), inferred)
+        return cls(xyz, to_linear(rgb), cKDTree(xyz), inferred, kept)
 
     def __len__(self) -> int:
         return len(self.xyz)

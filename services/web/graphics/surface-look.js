@@ -1,6 +1,7 @@
 // How a surface is drawn. Colours that were captured hold the light they were captured in, and are shown as they are; all else stands in
 // the light of the studio: things without colours as clay, things of one colour as painted, and normal maps, which only show in a light.
 import * as THREE from '../vendor/three-0.187.0.module.js';
+import { withOrigin } from './origin-look.js';
 
 /** @import { GLTFLoaderPlugin } from '../vendor/three-0.187.0.gltf-loader.js' */
 
@@ -18,7 +19,7 @@ export function surfaceLook() {
     name: 'capture2vr_surface_look',
     async afterRoot({ scene }) {
       scene.traverse((node) => {
-        if (node instanceof THREE.Mesh) node.material = lookOf(node.material, node.geometry);
+        if (node instanceof THREE.Mesh) node.material = withOrigin(lookOf(node.material, node.geometry), node.geometry);
       });
     },
   };

@@ -181,6 +181,7 @@ export interface QualityFigures {
   seconds?: number;
   verdict?: 'better' | 'even' | 'worse';
   photos?: { cover: number } | null;
+  origins?: { measured: number; proposed: number; filled: number };
 }
 
 /** A value of a sentence: a text, a number, or a sentence with its English. */

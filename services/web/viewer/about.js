@@ -74,7 +74,16 @@ function sectionsOf(entry, manifest) {
  * @param {AssetEntry} entry
  */
 function qualityLines(
-  { held_out: heldOut, held_out_mean: distance, coverage, components, boundary_loops: borders, verdict, photos },
+  {
+    held_out: heldOut,
+    held_out_mean: distance,
+    coverage,
+    components,
+    boundary_loops: borders,
+    verdict,
+    photos,
+    origins,
+  },
   entry,
 ) {
   const points = heldOut ? t('points that were kept aside to test it') : t('the points that it was made from');
@@ -89,6 +98,13 @@ function qualityLines(
     distance === undefined ? '' : distanceText(distance, entry),
     photos
       ? t('{percent} of what photos that were kept aside show of it is there.', { percent: percent(photos.cover) })
+      : '',
+    origins && origins.measured < 1
+      ? t('Of its surface {measured} was measured, {proposed} is a guess, and {filled} was filled in.', {
+          measured: percent(origins.measured),
+          proposed: percent(origins.proposed),
+          filled: percent(origins.filled),
+        })
       : '',
     components === undefined || borders === undefined
       ? ''

@@ -5,6 +5,7 @@ import { startBackdrop } from './backdrop.js';
 import { startCameraKeys } from './camera-orbit.js';
 import { startFullScreen } from './full-screen.js';
 import { offerAbout, offerDownloads, offerManaging, offerMeasuring, offerNotes } from './panels.js';
+import { startOriginMode } from './origin-mode.js';
 import { hidePoster } from './poster.js';
 import { Room } from './room.js';
 import { context } from './stage-context.js';
@@ -141,6 +142,7 @@ const { redraw } = startRenderLoop(stage, {
   draw,
   onDrawn: () => headset.update(),
 });
+const updateOrigins = startOriginMode(loadedItems, () => redraw());
 const updates = new ItemUpdates({
   items: () => items,
   isVisible,
@@ -376,6 +378,7 @@ function showTexts() {
   showQuickLook(items.length === 1 ? loaded.at(0)?.entry : null);
   const [first] = loaded;
   if (!first) return;
+  updateOrigins();
   showFacts();
   page.move.hidden = movableItems().length === 0;
   const [collection] = first.entry.collections ?? ['default'];

@@ -73,7 +73,7 @@ def bundle(state: str, mean: float, **quality: object) -> Bundle:
         "held_out_p95": 2 * mean,
         "coverage": 0.99,
         "stray_area": 0.0,
-        "filled_area": 0.0,
+        "origins": {"measured": 1.0, "proposed": 0.0, "filled": 0.0},
         "consistency": 0.01,
         "components": 1,
         "boundary_loops": 1,
@@ -104,6 +104,7 @@ def bundle(state: str, mean: float, **quality: object) -> Bundle:
             "unseen": [{"advice": "Shoot from <behind>.", "toward": [0.0, 0.0, -1.0], "share": 0.2}],
         },
         "points": 10_000,
+        "origins": {"measured": 10_000, "proposed": 0, "filled": 77},
         "size_m": [1.0, 2.0, 3.0],
         "scale_confidence": "metric",
         "lods": [],
@@ -209,6 +210,20 @@ def test_held_out_photos_are_shown_with_their_figures(tmp_path: Path) -> None:
     assert "21.50" in page
     assert "SSIM" not in page, "it was not measured"
     assert "of their depth" not in page
+
+
+def test_what_was_not_measured_is_shown_in_its_colours_with_numbers(tmp_path: Path) -> None:
+    results = Results(tmp_path / "out", "shirt")
+    shares = {"measured": 0.9, "proposed": 0.0, "filled": 0.1}
+    results.write(replace(bundle("preview", 0.002, origins=shares), private={"origin.png": b"sheet"}))
+    page = (results.out / "report.html").read_text()
+    assert page.count(f"data:image/png;base64,{b64encode(b'sheet').decode()}") == 1
+    assert '<b style="color: rgb(204, 121, 167)">■</b> filled in (77 points)' in page
+    assert re.search(r"<td>filled in <small>.*?</small></td><td class=\"figure\">10.00%</td>", page)
+    assert "Compared with photos" not in page, "it is no photo"
+    plain = Results(tmp_path / "plain", "shirt")
+    plain.write(bundle("preview", 0.002))
+    assert "■" not in (plain.out / "report.html").read_text()
 
 
 def test_the_grade_comes_first_on_the_page_and_on_the_terminal(

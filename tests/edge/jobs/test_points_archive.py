@@ -26,6 +26,7 @@ from capture2vr.edge.jobs.archived_views import MOST_VIEWS
 from capture2vr.edge.jobs.points_archive import MOST_POINTS, read_prepared, write_prepared
 from capture2vr.edge.jobs.points_cache import load_points, save_points
 from capture2vr.edge.models.nouns import UsedModel
+from capture2vr.edge.origin import FILLED, MEASURED
 from capture2vr.edge.points.nouns import CutReport, Points, TextureView, UnseenSide
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.worker.capabilities import POINTS_VERSION
@@ -78,7 +79,7 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
         cameras=(CAMERA, replace(CAMERA, name="IMG_1.jpg")) if pictured else (),
         texture_views=(view(0), view(1)) if pictured else (),
         held_out_views=(view(2),) if pictured else (),
-        inferred=np.arange(count) >= count - 10,
+        origin=np.where(np.arange(count) >= count - 10, FILLED, MEASURED).astype(np.uint8),
         closed=True,
         offset=np.array([345_678.25, 5_432_100.5, 321.0]),
         crs="EPSG:25832",
@@ -103,7 +104,7 @@ def anything(draw: st.DrawFn) -> PreparedPoints:
         warnings=tuple(draw(st.lists(TEXT, max_size=3))),
     )
     if draw(st.booleans()):
-        points = replace(points, rgb=None, up=None, unseen=(), cut=None, up_source=None, inferred=None, closed=False)
+        points = replace(points, rgb=None, up=None, unseen=(), cut=None, up_source=None, origin=None, closed=False)
         points = replace(points, offset=None, crs="")
     source = CaptureFacts(draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40)))
     return PreparedPoints(points, source, draw(st.dictionaries(st.just("POINT_CLOUD"), st.floats(0, 1e6))))
@@ -120,7 +121,7 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
                 (ours.rgb, theirs.rgb),
                 (ours.confidence, theirs.confidence),
                 (ours.up, theirs.up),
-                (ours.inferred, theirs.inferred),
+                (ours.origin, theirs.origin),
                 (ours.offset, theirs.offset),
             ]
         )
@@ -181,7 +182,7 @@ def large_scene(count: int = 2_500, *, coloured: bool = True) -> PreparedPoints:
 
     announced = CloudParts(count + 7, read)  # seven were no numbers
     some, sure = xyz[::20], np.ones(count // 20, np.float32)
-    return replace(few, points=replace(few.points, xyz=some, rgb=None, confidence=sure, whole=announced, inferred=None))
+    return replace(few, points=replace(few.points, xyz=some, rgb=None, confidence=sure, whole=announced, origin=None))
 
 
 @pytest.mark.parametrize("coloured", [True, False])
@@ -274,7 +275,9 @@ ARRAYS: dict[str, tuple[str, bytes]] = {
     "a header that promises more": ("xyz.npy", npy(np.zeros((120, 3))).replace(b"(120, 3)", b"(9**9,3)")),
     "confidence above 1": ("confidence.npy", npy(np.full(120, 1.5, np.float32))),
     "confidence that is no number": ("confidence.npy", npy(np.full(120, np.nan, np.float32))),
-    "no measured point": ("inferred.npy", npy(np.ones(120, bool))),
+    "no measured point": ("origin.npy", npy(np.full(120, FILLED, np.uint8))),
+    "an origin that there is not": ("origin.npy", npy(np.full(120, 3, np.uint8))),
+    "origins as truths": ("origin.npy", npy(np.zeros(120, bool))),
     "colours as floats": ("rgb.npy", npy(np.zeros((120, 3), np.float32))),
 }
 

@@ -85,7 +85,7 @@ def test_the_object_in_the_rectangle_is_kept_whole_and_the_one_in_the_middle_goe
 ) -> None:
     assert walk.neighbour is not None
     mine, other = surface(walk.neighbour), surface(walk.thing)
-    away, _ = cKDTree(mine).query(points.xyz[points.measured])
+    away, _ = cKDTree(mine).query(points.xyz[points.given])
     assert np.quantile(away, 0.5) < 0.003
     assert np.quantile(away, 0.99) < 0.015
     assert (cKDTree(other).query(points.xyz)[0] > 0.02).all()

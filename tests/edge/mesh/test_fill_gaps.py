@@ -16,6 +16,7 @@ from capture2vr.edge.mesh.fill_gaps import FilledMesh, fill_gaps
 from capture2vr.edge.mesh.normals import face_normals
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.edge.mesh.topology import compact
+from capture2vr.edge.origin import FILLED, MEASURED, marked
 from capture2vr.order.option_table import Fill
 
 
@@ -68,7 +69,7 @@ def test_a_hole_in_a_ball_is_closed_on_the_ball(direction: tuple[float, float, f
     # A flat lid would lie (1 - cos) below the ball in its middle: the fairing bulges it at least half of the way.
     assert np.abs(away - 1).max() < max(0.5 * (1 - np.cos(np.radians(degrees))), 0.01)
     missing = (1 - np.cos(np.radians(degrees))) / 2
-    assert made.share == pytest.approx(missing, rel=0.35, abs=0.005)
+    assert made.shares["filled"] == pytest.approx(missing, rel=0.35, abs=0.005)
     normals = face_normals(made.mesh.vertices, made.mesh.faces)
     outward = np.einsum("fx,fx->f", normals, made.mesh.vertices[made.mesh.faces].mean(axis=1))
     assert (outward > 0).all(), "what is added is wound like what is there"
@@ -78,10 +79,10 @@ def test_what_is_there_stays_and_what_is_added_comes_last() -> None:
     mesh = ball_with_hole(20, np.array([0.0, 0, 1]))
     made = fill_gaps(mesh, "unseen", nobody_sees_through)
     assert np.array_equal(made.mesh.vertices[: len(mesh.vertices)], mesh.vertices)
-    assert np.array_equal(made.mesh.faces[~made.filled], mesh.faces)
-    assert made.filled[len(mesh.faces) :].all()
-    assert np.array_equal(made.filled_vertices, np.arange(len(made.mesh.vertices)) >= len(mesh.vertices))
-    added = made.mesh.vertices[made.mesh.faces[made.filled]]
+    assert np.array_equal(made.mesh.faces[made.origin == MEASURED], mesh.faces)
+    assert (made.origin[len(mesh.faces) :] == FILLED).all()
+    assert np.array_equal(made.vertex_origin == FILLED, np.arange(len(made.mesh.vertices)) >= len(mesh.vertices))
+    added = made.mesh.vertices[made.mesh.faces[made.origin == FILLED]]
     longest = np.linalg.norm(added - np.roll(added, 1, axis=1), axis=2).max()
     assert longest < 0.2, "the lid is as fine as the ball"
 
@@ -90,18 +91,18 @@ def test_what_is_there_stays_and_what_is_added_comes_last() -> None:
 def test_a_hole_that_views_see_through_stays_open(fill: Fill) -> None:
     for mesh in (ball_with_hole(20, np.array([0.0, 0, 1])), sheet_with_hole()):
         made = fill_gaps(mesh, fill, all_see_through)
-        assert not made.filled.any()
-        assert made.share == 0
+        assert not made.origin.any()
+        assert made.shares["filled"] == 0
 
 
 def test_the_border_of_a_sheet_is_no_hole_but_the_hole_in_it_is() -> None:
     for fill in ("unseen", "all"):
         made = fill_gaps(sheet_with_hole(), fill, nobody_sees_through)
-        assert made.share == pytest.approx(np.pi * 0.15**2, rel=0.1), "the hole alone"
+        assert made.shares["filled"] == pytest.approx(np.pi * 0.15**2, rel=0.1), "the hole alone"
 
 
 def test_the_ends_of_a_sleeve_stay_open_unless_all_is_asked_for() -> None:
-    assert not fill_gaps(tube(), "unseen", nobody_sees_through).filled.any()
+    assert not fill_gaps(tube(), "unseen", nobody_sees_through).origin.any()
     for made in (
         fill_gaps(tube(), "all", nobody_sees_through),
         fill_gaps(tube(), "unseen", nobody_sees_through, closed=True),
@@ -112,38 +113,38 @@ def test_the_ends_of_a_sleeve_stay_open_unless_all_is_asked_for() -> None:
 def test_all_holes_of_a_thing_without_openings_are_filled_where_all_is_asked_for() -> None:
     """Photos seem to see through one, and the patch of another lies back on a tuft around it."""
     mesh = ball_with_hole(20.0, np.array([0.0, 0, 1]))
-    assert not fill_gaps(mesh, "unseen", all_see_through, closed=True).filled.any()
-    assert not fill_gaps(mesh, "all", all_see_through).filled.any()
+    assert not fill_gaps(mesh, "unseen", all_see_through, closed=True).origin.any()
+    assert not fill_gaps(mesh, "all", all_see_through).origin.any()
     assert len(border_edges(fill_gaps(mesh, "all", all_see_through, closed=True).mesh.faces)) == 0
     cap = ball_with_hole(150.0, np.array([0.0, 0, 1]))  # of a sheet the patch lies back on the sheet
-    assert not fill_gaps(cap, "all", nobody_sees_through).filled.any()
+    assert not fill_gaps(cap, "all", nobody_sees_through).origin.any()
     assert len(border_edges(fill_gaps(cap, "all", nobody_sees_through, closed=True).mesh.faces)) == 0
 
 
 def test_faces_of_inferred_points_are_marked() -> None:
     mesh = mesh_of(trimesh.creation.icosphere(3))
     below = mesh.vertices[:, 2] < -0.5
-    made = FilledMesh.unfilled(mesh).with_inferred(mesh.vertices, ~below)
+    made = FilledMesh.unfilled(mesh).with_origin_of(mesh.vertices, marked(below, FILLED))
     middle = mesh.vertices[mesh.faces].mean(axis=1)[:, 2]
-    assert made.filled[middle < -0.6].all()
-    assert not made.filled[middle > -0.4].any()
-    assert made.share == pytest.approx(0.25, abs=0.05), "of a ball, the part below half its radius"
+    assert (made.origin[middle < -0.6] == FILLED).all()
+    assert not made.origin[middle > -0.4].any()
+    assert made.shares["filled"] == pytest.approx(0.25, abs=0.05), "of a ball, the part below half its radius"
 
 
 def test_nothing_is_filled_where_that_is_not_wanted_or_nothing_is_missing() -> None:
     holed = ball_with_hole(20, np.array([0.0, 0, 1]))
     assert fill_gaps(holed, "none", nobody_sees_through).mesh is holed
     whole = mesh_of(trimesh.creation.icosphere(3))
-    assert not fill_gaps(whole, "all", nobody_sees_through).filled.any()
+    assert not fill_gaps(whole, "all", nobody_sees_through).origin.any()
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-    assert fill_gaps(empty, "all", nobody_sees_through).share == 0
+    assert fill_gaps(empty, "all", nobody_sees_through).shares["filled"] == 0
 
 
 def test_a_patch_that_is_seen_through_in_one_corner_by_one_view_is_filled() -> None:
     def one_errs(places: Floats, normals: Floats) -> Ints:
         return np.ones(len(places), np.int64)
 
-    assert fill_gaps(ball_with_hole(20, np.array([0.0, 0, 1])), "unseen", one_errs).filled.any()
+    assert fill_gaps(ball_with_hole(20, np.array([0.0, 0, 1])), "unseen", one_errs).origin.any()
 
 
 def test_several_holes_are_told_apart() -> None:
@@ -167,7 +168,7 @@ def test_the_longest_loops_are_left_out_where_there_are_too_many(monkeypatch: py
     monkeypatch.setattr("capture2vr.edge.mesh.fill_gaps._MOST_WORK", (30 / 400) ** 3)
     made = fill_gaps(mesh, "unseen", nobody_sees_through)
     left = made.mesh.vertices[border_edges(made.mesh.faces)[:, 0]]
-    assert made.filled.any()
+    assert made.origin.any()
     assert (left[:, 2] > 0).all(), "the small one is filled"
 
 
@@ -179,4 +180,4 @@ def test_progress_only_grows() -> None:
 
 
 def test_an_empty_result_has_no_share() -> None:
-    assert FilledMesh(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64)), np.zeros(0, bool)).share == 0
+    assert FilledMesh(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64)), np.zeros(0, np.uint8)).shares["filled"] == 0

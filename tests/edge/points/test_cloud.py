@@ -15,6 +15,7 @@ from capture2vr.edge.arrays import Bytes, Floats
 from capture2vr.edge.capture.nouns import Capture, Cloud
 from capture2vr.edge.capture_to_points import to_points
 from capture2vr.edge.errors import CaptureError
+from capture2vr.edge.origin import FILLED, marked
 from capture2vr.edge.points.downsample import downsample_points, voxel_downsample, voxel_downsample_to
 from capture2vr.edge.points.nouns import Points
 from capture2vr.edge.points.outliers import inliers, label_components
@@ -260,10 +261,11 @@ def test_real_dress_survives_strays(data_dir: Path) -> None:
 def test_at_most_is_at_most_and_keeps_the_extent(count: int, most: int) -> None:
     xyz = np.random.default_rng(count).random((count, 3)) * [1.0, 2.0, 0.001]
     inferred = xyz[:, 1] > 1
-    points = Points(xyz, None, np.ones(count, np.float32), 1.0, "metric", None, inferred=inferred)
+    points = Points(xyz, None, np.ones(count, np.float32), 1.0, "metric", None, origin=marked(inferred, FILLED))
     fewer = downsample_points(points, most)
-    assert fewer.inferred is not None
-    assert (fewer.inferred == (fewer.xyz[:, 1] > 1)).mean() > 0.8, "each voxel is what its nearest point is"
+    assert fewer.origin is not None
+    filled = fewer.origin == FILLED
+    assert (filled == (fewer.xyz[:, 1] > 1)).mean() > 0.8, "each voxel is what its nearest point is"
     assert len(fewer) <= most
     assert len(fewer.confidence) == len(fewer)
     assert len(fewer) == count if count <= most else len(fewer) >= most / 2

@@ -16,12 +16,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from capture2vr.edge.arrays import Bytes
+from capture2vr.edge.convert.capture_points import CapturePoints
 from capture2vr.edge.errors import Cancelled, CaptureError, EdgeError
+from capture2vr.edge.origin import PROPOSED
 from capture2vr.edge.pipeline import reconstruct
 from capture2vr.edge.preset import load_preset
 from capture2vr.edge.read_capture import read_capture
 from capture2vr.edge.single_photo.cutout import cut_out
 from capture2vr.edge.single_photo.relief import MOST_CONFIDENT, make_relief
+from capture2vr.order import download_formats
 from capture2vr.order.asset_names import AssetNames
 from capture2vr.order.job_options import JobOptions
 from capture2vr.storage.bundle import Bundle
@@ -51,6 +54,7 @@ from tests.bench.single_photo_training.weight_files import (
     save_half,
     training_of,
 )
+from tests.referees.glb_reader import Glb
 from tests.support.photos.single_photos import photo
 
 CPU = torch.device("cpu")
@@ -296,6 +300,10 @@ def test_one_photo_in_an_asset_out_that_says_it_is_a_guess(tmp_path: Path, dress
     *_, bundle = (step for step in steps if isinstance(step, Bundle))
     manifest = bundle.manifest
     assert manifest["origin"] == "guess"
+    assert manifest["quality"]["origins"] == {"measured": 0.0, "proposed": 1.0, "filled": 0.0}
+    assert manifest["origins"] == {"measured": 0, "proposed": manifest["points"], "filled": 0}
+    assert set(CapturePoints.read(bundle.files[download_formats.POINTS]).origin) == {PROPOSED}
+    assert set(Glb.of(bundle.files["lod0.glb"]).attribute("_ORIGIN")) == {PROPOSED}
     assert 0 < manifest["confidence"] <= MOST_CONFIDENT
     assert manifest["scale_confidence"] == "unknown"
     assert any("guess" in warning for warning in manifest["warnings"])

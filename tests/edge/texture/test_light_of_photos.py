@@ -37,6 +37,18 @@ def test_inferred_points_go_on_from_what_photos_show_of_them() -> None:
     assert np.array_equal(made[deep], np.tile(GREY, (deep.sum(), 1)))
 
 
+def test_a_guess_keeps_its_own_colours_whatever_photos_show_beside_it() -> None:
+    inferred = XYZ[:, 0] > 0
+    kept = inferred & (XYZ[:, 1] > 0)
+    points = replace(grey_points(inferred), kept=kept)
+    made = with_light_of_photos(Palette(points, red_above, 0.01), GROUND).points.light
+    np.testing.assert_array_equal(made[kept], points.light[kept])
+    assert (made[inferred & ~kept] != points.light[inferred & ~kept]).any()
+    whole = replace(points, inferred=np.ones(len(XYZ), bool), kept=np.ones(len(XYZ), bool))
+    palette = Palette(whole, red_above, 0.01)
+    assert with_light_of_photos(palette, GROUND) is palette
+
+
 def test_stray_measured_points_amid_inferred_ones_take_their_light() -> None:
     stray = np.linalg.norm(XYZ - [0.3, 0.3, 0], axis=1) < 0.03
     made = with_light_of_photos(Palette(grey_points((XYZ[:, 0] > 0) & ~stray), red_above, 0.01), GROUND).points.light

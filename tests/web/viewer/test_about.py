@@ -17,6 +17,8 @@ from tests.support.things import GREEN, RED, box
 
 pytestmark = pytest.mark.browser
 FRAME = np.eye(4).ravel().tolist()
+FIGURES = {"held_out": 900, "held_out_mean": 0.001, "coverage": 0.95, "components": 1, "boundary_loops": 0}
+ORIGINS = {"measured": 0.75, "proposed": 0.05, "filled": 0.2}
 HOSTILE = '<img src=x onerror="document.body.dataset.bad=1">'
 
 
@@ -24,7 +26,7 @@ def test_quality_warnings_advice_and_origin_are_told(page: Page, site: Site) -> 
     told = box(
         "Cup",
         RED,
-        quality={"held_out": 900, "held_out_mean": 0.001, "coverage": 0.95, "components": 1, "boundary_loops": 0},
+        quality={**FIGURES, "origins": ORIGINS},
         warnings=[HOSTILE],
         capture={
             "kind": "photos",
@@ -47,6 +49,7 @@ def test_quality_warnings_advice_and_origin_are_told(page: Page, site: Site) -> 
     for sentence in (
         "It follows most of what was captured: 95 % of points that were kept aside to test it lie on it",
         "On average they are 0.40 mm, 0.10 % of its size, away from it.",
+        "Of its surface 75 % was measured, 5 % is a guess, and 20 % was filled in.",
         "It has 1 piece and no open borders.",
         HOSTILE,
         "Shoot from behind.",

@@ -15,6 +15,7 @@ from trimesh.visual.material import PBRMaterial
 from capture2vr.edge.arrays import Bytes
 from capture2vr.edge.export.glb import to_glb
 from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.origin import COLOURS, FILLED, MEASURED, PROPOSED
 from capture2vr.storage.catalogue.publish import publish
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, stage
@@ -85,6 +86,32 @@ def test_captured_colours_of_vertices_are_shown_as_they_are(
 ) -> None:
     show(page, site, "coloured", coloured(colour))
     assert np.abs(middle(page).astype(int) - colour).max() <= 1
+
+
+@pytest.mark.essential
+def test_what_was_not_measured_is_shown_in_a_colour_of_its_own_while_that_is_wanted(page: Page, site: Site) -> None:
+    mesh, white = cube(), np.full((8, 3), 255, np.uint8)
+    for origin in (MEASURED, PROPOSED, FILLED):
+        marks = np.full(len(mesh.vertices), origin, np.uint8)
+        marks[0] = FILLED  # at a corner that is not looked at: of what is all measured, a file says nothing
+        marked = Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), white * (np.arange(8) > 0)[:, None], marks)
+        show(page, site, f"origin-{origin}", to_glb(marked, "meshopt"))
+        before = middle(page).astype(int)
+        assert np.ptp(before, axis=1).max() <= 2, "grey and white, as its colours are"
+        button = page.get_by_role("button", name="Measured", exact=True)
+        button.click()
+        expect(page.get_by_role("list", name="Where the surface comes from")).to_contain_text("a guess")
+        shown = np.median(middle(page), axis=0)
+        hue, wanted = shown / shown.max(), np.array(COLOURS[origin]) / max(COLOURS[origin])
+        assert np.abs(hue - wanted).max() < 0.12, (origin, shown)
+        button.click()
+        np.testing.assert_array_equal(middle(page), before, "and as it was, when it is not wanted any more")
+
+
+def test_what_was_all_measured_has_no_button_for_it(page: Page, site: Site) -> None:
+    show(page, site, "measured", coloured(PICTURES[1]))
+    expect(page.locator("#backdrop")).to_be_visible()
+    expect(page.locator("#origin")).to_be_hidden()
 
 
 def test_a_thing_without_colours_shows_its_form(page: Page, site: Site) -> None:
