@@ -75,8 +75,8 @@ def test_points_stand_for_the_thing_until_its_mesh_is_there(page: Page, site: Si
 def test_what_was_not_measured_says_so(
     page: Page, site: Site, store: LocalStore, bundle: Bundle, origin: str, said: str
 ) -> None:
-    publish(replace(bundle, manifest={**bundle.manifest, "origin": origin}), store, key="guessed", job="one")
-    page.goto(f"{site.url}/view/guessed")
+    publish(replace(bundle, manifest={**bundle.manifest, "origin": origin}), store, key=origin, job=origin)
+    page.goto(f"{site.url}/view/{origin}")
     expect(page.locator("#said")).to_contain_text(said)
     page.goto(f"{site.url}/view/{KEY}")
     expect(page.locator("#said")).to_contain_text("triangles")
