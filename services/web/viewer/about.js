@@ -155,8 +155,7 @@ function originLines(
   const made = entry.versions?.find(({ version }) => version === entry.version)?.created;
   const { cut, up } = capture;
   return [
-    entry.origin === 'generated' ? t('A generator made its shape up from one photo; nothing of it was measured.') : '',
-    captureText(capture),
+    captureText(capture, entry.origin),
     cut
       ? t('Kept: {what}; {because}.', {
           what: KEPT[cut.kept] ?? cut.kept,
@@ -184,8 +183,12 @@ function originLines(
   ].filter(Boolean);
 }
 
-/** @param {CaptureSummary} capture */
-function captureText({ kind, format, frames, photos = [] }) {
+/**
+ * @param {CaptureSummary} capture
+ * @param {AssetEntry['origin']} origin
+ */
+function captureText({ kind, format, frames, photos = [] }, origin) {
+  if (origin === 'generated') return t('A generator made its shape up from one photo; nothing of it was measured.');
   const unused = photos.filter(({ verdict }) => verdict !== 'ok').length;
   if (kind === 'image') {
     return t('Guessed from one photo: its outline was inflated, and the photo printed on it.');
