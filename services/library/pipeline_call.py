@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.generated.server import GeneratorServer
 from capture2vr.edge.job_resources import JobResources
+from capture2vr.edge.models.folder import ModelFolder
 from capture2vr.edge.pipeline import PreviewKept
 from capture2vr.edge.pipeline import reconstruct as run
 from capture2vr.edge.preset import AUTOMATIC, Preset, load_preset
@@ -36,10 +38,11 @@ def run_pipeline(
     resolution: int,
     device: str,
     generator: str,
+    models: str | Path,
     watch: Callable[[Progress], None],
 ) -> MadeBundles:
     """Reconstruct a capture. resolution: cells along the longest side, 0: as the preset has it; generator: address of
-    the one that the preset generate asks, "": none
+    the one that the preset generate asks, "": none; models: folder of learned models, "": none
 
     Raises EdgeError, CaptureError, and BadInput for a keyword's value that does not fit.
     """
@@ -48,7 +51,9 @@ def run_pipeline(
     chosen = load_preset(said.completed().preset)
     chosen = replace(chosen, resolution=resolution or chosen.resolution)
     options = replace(said, cut=said.cut or said.edits.cut or "auto", preset=chosen.name).completed()
-    resources = JobResources(_device(chosen, device), generator=_generator(generator))
+    computes_on = _device(chosen, device)
+    folder = ModelFolder(Path(models), computes_on) if models else None
+    resources = JobResources(computes_on, generator=_generator(generator), models=folder)
     steps = run(capture, chosen, options, resources, watch=watch)
     bundles: list[Bundle] = []
     kept = None

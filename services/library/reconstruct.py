@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Unpack
 
 import numpy as np
@@ -70,6 +71,7 @@ def reconstruct(
     resolution: int = 0,
     device: str = "auto",
     generator: str = "",
+    models: str | Path = "",
     progress: OnProgress = ignore_progress,
     **options: Unpack[ReconstructionFields],
 ) -> Reconstruction:
@@ -81,6 +83,7 @@ def reconstruct(
                 as of `mesh_from_points`
     generator   address of a generator, such as "http://127.0.0.1:8080", for the preset "generate" and one photo
                 (docs/models.md)
+    models      folder of learned models that may help, as the setting EDGE_MODELS of a worker; "": none
     target      device class whose budget the levels of detail must meet: "quest3", "quest2", "web", "archive"
     cut         what to keep: "object", without floor and surroundings; "scene"; "auto", the object if the photos were
                 taken around one
@@ -103,7 +106,14 @@ def reconstruct(
     reading = reading_of(options.get("columns", ""), options.get("unit", ""))
     with opened(source, rgb, reading) as capture:
         made = run_pipeline(
-            capture, preset, options, resolution=resolution, device=device, generator=generator, watch=progress
+            capture,
+            preset,
+            options,
+            resolution=resolution,
+            device=device,
+            generator=generator,
+            models=models,
+            watch=progress,
         )
     return reconstruction_of(made)
 

@@ -16,6 +16,7 @@ from capture2vr.edge.capture.nouns import Capture
 from capture2vr.edge.mesh import nouns as mesh_nouns
 from capture2vr.edge.mesh.nouns import Mesh
 from capture2vr.errors import BadInput
+from capture2vr.library import pipeline_call
 from capture2vr.library import reconstruct as reconstruct_module
 from capture2vr.library import reconstruction as reconstruction_module
 from capture2vr.library import source as source_module
@@ -130,3 +131,20 @@ def test_a_mesh_of_others_is_made_or_what_is_missing_is_said(monkeypatch: pytest
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(BadInput, match="pip install open3d"):
         mesh.to_open3d()
+
+
+def test_models_and_generator_are_those_of_the_call(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    class AskedError(Exception):
+        """Instead of the work: with what the pipeline was called."""
+
+    def called(*given: Any, **_: Any) -> Any:
+        raise AskedError(given[3])
+
+    monkeypatch.setattr(pipeline_call, "run", called)
+    monkeypatch.setenv("EDGE_MODELS", "elsewhere")
+    for models, expected in ((folder / "models", folder / "models"), ("", None)):
+        with pytest.raises(AskedError) as asked:
+            reconstruct(sphere_points(600), preset="draft", models=models, generator="http://127.0.0.1:9")
+        resources = asked.value.args[0]
+        assert (resources.models and resources.models.folder) == expected
+        assert resources.generator is not None
