@@ -148,7 +148,7 @@ function showFiles() {
 /** The photos of which one can get a rectangle: the only file, or as many as can be reconstructed together. */
 function photosToMark() {
   const photos = files.filter(isPhoto);
-  return files.length === 1 || photos.length >= FEWEST ? photos : [];
+  return photos.length === files.length || photos.length >= FEWEST ? photos : [];
 }
 
 /** @param {File[]} unwanted */

@@ -3,7 +3,7 @@ import { child, create, element } from '../shared/dom.js';
 import { drawRings } from './coverage-ring.js';
 import { differenceOf } from './photo-quality.js';
 import { queuePhoto } from './photo-quality-queue.js';
-import { ADVISED, FEWEST, coverageOf, findFaults, isMeasured } from './photo-set.js';
+import { ADVISED, FEW, FEWEST, coverageOf, findFaults, isMeasured } from './photo-set.js';
 import { t } from '../shared/texts.js';
 
 /** @import { MeasuredPhoto, Photo } from './photo-set.js' */
@@ -166,18 +166,12 @@ function adviceFor(chosen, films) {
     return t('Its best pictures are chosen for you.') + (films > 1 ? ` ${t('Only the largest video is used.')}` : '');
   }
   if (films) return t('There are photos enough, so the video is not used.') + rest;
-  if (count === 1) {
+  if (count <= FEW) {
     return (
-      t('One photo shows one side; the others are a guess. {least} to {most} from all around show them.', {
-        least,
-        most,
-      }) + rest
-    );
-  }
-  if (count < FEWEST) {
-    return (
-      t('At least {fewest} are needed; {least} to {most} from all around are best.', { fewest: FEWEST, least, most }) +
-      rest
+      t(
+        'What no photo shows will be a guess: {more} more from around, where the ring is empty, make it measured. {least} to {most} are best.',
+        { more: FEW + 1 - count, least, most },
+      ) + rest
     );
   }
   if (count < least) {

@@ -207,14 +207,15 @@ def test_the_object_is_marked_in_one_of_several_photos(page: Page, stack: Stack,
     assert upload.value.url.endswith(f"/v1/captures?box={','.join(map(str, box))},photo=image-2.jpg")
 
 
-def test_two_photos_have_no_rectangle(page: Page, stack: Stack, photo: Path, tmp_path: Path) -> None:
+def test_two_photos_are_marked_as_several_are(page: Page, stack: Stack, photo: Path, tmp_path: Path) -> None:
     Image.new("RGB", (400, 300), (90, 90, 90)).save(tmp_path / "other.jpg")
     choose(page, stack, photo)
     outlined(page)
     draw(page, *around(BLUE))
     page.locator("#photos").set_input_files(tmp_path / "other.jpg")
     expect(page.locator("#which")).to_be_hidden()
-    expect(page.locator("#advice")).to_contain_text("At least 3")
+    expect(page.locator("#mark")).to_be_visible()
+    expect(page.locator("#advice")).to_contain_text("a guess: 7 more from around")
 
 
 def test_the_photo_fits_a_phone(browser: Browser, stack: Stack, photo: Path) -> None:
