@@ -65,13 +65,15 @@ class PhotoBox:
             raise InvalidBox(f"the rectangle {box} has numbers that are not finite")
         if min(box.values) < 0 or max(box.values) > 1:
             raise InvalidBox(f"the rectangle {box} reaches beyond the photo, whose sides go from 0 to 1")
-        if box.is_tap:
-            return box
-        if box.right <= box.left or box.bottom <= box.top:
-            raise InvalidBox(f"the rectangle {box} is empty: its right must exceed its left, its bottom its top")
-        if min(box.width, box.height) < LEAST_SIDE:
-            raise InvalidBox(f"the rectangle {box} is narrower than {LEAST_SIDE:.0%} of the photo")
+        if not box.is_tap:
+            box._require_extent()
         return box
+
+    def _require_extent(self) -> None:
+        if self.right <= self.left or self.bottom <= self.top:
+            raise InvalidBox(f"the rectangle {self} is empty: its right must exceed its left, its bottom its top")
+        if min(self.width, self.height) < LEAST_SIDE:
+            raise InvalidBox(f"the rectangle {self} is narrower than {LEAST_SIDE:.0%} of the photo")
 
     @classmethod
     def unchecked(cls, values: Sequence[Any]) -> PhotoBox:

@@ -275,14 +275,15 @@ def _figure(state: str, png: bytes) -> str:
 
 def _certificate_rows(certificates: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     for key, (name, meaning) in _ORIGINS.items():
-        figures = "".join(f'<td class="figure">{each["origins"][key]:.2%}</td>' for each in certificates.values())
-        yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"
+        yield _row(name, meaning, [f"{each['origins'][key]:.2%}" for each in certificates.values()])
     for key, (name, meaning, form) in _ROWS.items():
-        figures = "".join(f'<td class="figure">{form.format(each[key])}</td>' for each in certificates.values())
-        yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"
+        yield _row(name, meaning, [form.format(each[key]) for each in certificates.values()])
     photos = [each.get("photos") or {} for each in certificates.values()]
     for key, (name, meaning, form) in _PHOTO_ROWS.items():
         if any(each.get(key) is not None for each in photos):
-            shown = ["" if each.get(key) is None else form.format(each[key]) for each in photos]
-            figures = "".join(f'<td class="figure">{figure}</td>' for figure in shown)
-            yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"
+            yield _row(name, meaning, ["" if each.get(key) is None else form.format(each[key]) for each in photos])
+
+
+def _row(name: str, meaning: str, figures: Sequence[str]) -> str:
+    cells = "".join(f'<td class="figure">{figure}</td>' for figure in figures)
+    return f"<tr><td>{name} <small>{meaning}</small></td>{cells}</tr>"

@@ -66,10 +66,8 @@ _POINT_BYTES = 24 + 3 + 4 + 1  # xyz, rgb, confidence, origin
 _LIMITS = ArchiveLimits(
     entries=6 + VIEW_FILES * MOST_VIEWS,
     total_bytes=_HEAD_BYTES
-    + MOST_POINTS * _POINT_BYTES
-    + 4 * 1024
-    + MOST_VIEWS * VIEW_BYTES
-    + MOST_WHOLE * RECORD.itemsize,
+    + (MOST_POINTS * _POINT_BYTES + 4 * 1024)
+    + (MOST_VIEWS * VIEW_BYTES + MOST_WHOLE * RECORD.itemsize),
 )
 _FARTHEST = 1e12  # capture units from the origin: a squared distance stays far from overflowing
 _UNIT = 0.01  # tolerance of a length or a share of 1: some are rounded to three digits

@@ -72,11 +72,7 @@ def guess_instead(
     """
     if not _are_few(capture) or error.code not in _MISPLACED:
         raise error
-    asked = [photo for photo in capture.photos if box is None or photo.name == box.photo]
-    best = max(_candidates(asked, box, models), key=lambda each: each.merit)
-    if not best.merit:
-        hints = (*error.hints, say("none_of_few_photos_shows_object"))
-        raise CaptureError(error.code, error.message, file=error.file, hints=hints) from error
+    best = _clearest(capture.photos, error, box, models)
     name = best.photo.name
     others = [photo.name for photo in capture.photos if photo is not best.photo]
     chosen = say("relief_of_marked_photo" if box else "relief_of_clearest_photo", name=name)
@@ -97,6 +93,18 @@ def guess_instead(
         ),
         warnings=(*capture.warnings, warning),
     )
+
+
+def _clearest(
+    photos: Sequence[Photo], error: EdgeError, box: PhotoBox | None, models: ModelFolder | None
+) -> _Candidate:
+    """The photo that a person marked, or whose object stands out most. Raises the error where none shows an object."""
+    asked = [photo for photo in photos if box is None or photo.name == box.photo]
+    best = max(_candidates(asked, box, models), key=lambda each: each.merit)
+    if not best.merit:
+        hints = (*error.hints, say("none_of_few_photos_shows_object"))
+        raise CaptureError(error.code, error.message, file=error.file, hints=hints) from error
+    return best
 
 
 def _are_few(capture: Capture) -> bool:
