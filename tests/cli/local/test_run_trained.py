@@ -104,6 +104,7 @@ def bundle(state: str, mean: float, **quality: object) -> Bundle:
             "unseen": [{"advice": "Shoot from <behind>.", "toward": [0.0, 0.0, -1.0], "share": 0.2}],
         },
         "points": 10_000,
+        "origin": "measured",
         "origins": {"measured": 10_000, "proposed": 0, "filled": 77},
         "size_m": [1.0, 2.0, 3.0],
         "scale_confidence": "metric",
