@@ -97,7 +97,7 @@ MALFORMED = {
     "a cut that does not exist": [head(cut="everything")],
     "a reversed box": [head(box=pb.Box(left=0.8, top=0.1, right=0.2, bottom=0.9))],
     "a box beyond the photo": [head(box=pb.Box(left=0.1, top=0.1, right=900, bottom=0.9))],
-    "an empty box": [head(box=pb.Box())],
+    "an empty box": [head(box=pb.Box(left=0.2, top=0.1, right=0.2, bottom=0.9))],
     "edits that are no JSON": [head(edits="{")],
     "edits with a box inside out": [head(edits='{"crop": {"centre": [0, 0, 0], "size": [1, -1, 1]}}')],
     "edits of another capture": [head(capture="cap_1", edits='{"capture": "cap_2"}')],

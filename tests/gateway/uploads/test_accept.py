@@ -467,7 +467,7 @@ class TestOfOnePhoto:
 
 @pytest.mark.parametrize("path", ["/v1/outlines", "/v1/captures"])
 @pytest.mark.parametrize(
-    "box", ["0.5,0.2,0.1,0.6", "120,80,900,700", "0.1,0.2", "a,b,c,d", "nan,0,1,1", "0,0,1,1,photo=a\tb"]
+    "box", ["0.5,0.2,0.1,0.6", "120,80,900,700", "0.1,0.2,0.3", "a,b,c,d", "nan,0,1,1", "0,0,1,1,photo=a\tb"]
 )
 async def test_a_rectangle_that_is_none_is_refused(gateway: Gateway, path: str, box: str) -> None:
     answer = await gateway.client.post(path, params={"box": box}, files=[("files", ("a.jpg", jpeg()))])
