@@ -95,7 +95,7 @@ def test_the_rectangle_goes_with_the_upload_and_the_job(page: Page, stack: Stack
     outlined(page)
     page.locator("#preset").select_option("quick")
     page.get_by_role("button", name="Send").click()
-    await_data(page, state="done")
+    await_data(page, preview="1")  # what was cut out is told with it; textures take as long again
     (upload,) = (request for request in sent if "/v1/captures" in request.url)
     (job,) = (request for request in sent if request.url.endswith("/v1/jobs"))
     box = json.loads(job.post_data or "")["box"]
