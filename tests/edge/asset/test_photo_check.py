@@ -196,5 +196,5 @@ def test_a_capture_of_many_pictures_ends_with_their_figures() -> None:
     assert figures["cover"] > 0.95
     assert figures["lace"] < 0.02
     assert figures["psnr"] > 15
-    assert sorted(bundle.private) == ["photo-1.jpg", "photo-2.jpg"]
+    assert sorted(bundle.private) == ["origin.png", "photo-1.jpg", "photo-2.jpg"]
     assert not bundle.private.keys() & bundle.files.keys()
