@@ -52,4 +52,8 @@ def nearest_origin(xyz: Floats, origin: Bytes | None, places: Floats) -> Bytes |
 
     None where all points are measured, or the nearest of all places are.
     """
-    return None if origin is None else told(origin[cKDTree(xyz).query(places, workers=-1)[1]])
+    if origin is None:
+        return None
+    if (origin == origin[0]).all():  # such as of a relief: whichever is the nearest
+        return told(np.full(len(places), origin[0]))
+    return told(origin[cKDTree(xyz).query(places, workers=-1)[1]])

@@ -12,11 +12,11 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from pathlib import Path
 from secrets import token_hex
-from socket import SHUT_RDWR
+from socket import SHUT_RDWR, socket
 from typing import TypeVar
 from urllib.parse import urlsplit
 
@@ -33,6 +33,16 @@ _MAGIC, _HEADER = b"glTF", 12  # of a GLB: magic, version, length of the whole f
 _QUOTED = 200  # characters of an error that are told
 
 Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, slots=True)
+class _Question:
+    """A request: its method, route, body and header fields."""
+
+    method: str
+    route: str
+    body: bytes = b""
+    headers: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +76,13 @@ class GeneratorServer:
         Raises EdgeError GENERATOR_UNAVAILABLE where nobody answers or who does is not ready, GENERATOR_FAILED where it
         refuses, takes too long, or answers with something else; and within a fraction of a second what `tick` raises.
         """
-        self._ask(self.health_s, no_tick, "GET", "/health", b"", {}, _require_health)
+        self._ask(self.health_s, no_tick, _Question("GET", "/health"), _require_health)
         boundary = token_hex(16)
         head = f'--{boundary}\r\nContent-Disposition: form-data; name="image"; filename="image.png"\r\n'
         body = f"{head}Content-Type: image/png\r\n\r\n".encode() + png + f"\r\n--{boundary}--\r\n".encode()
         kind = {"Content-Type": f"multipart/form-data; boundary={boundary}", "Accept": "model/gltf-binary"}
-        self._ask(self.most_s, tick, "POST", "/generate", body, kind, lambda answer: self._save(answer, target))
+        question = _Question("POST", "/generate", body, kind)
+        self._ask(self.most_s, tick, question, lambda answer: self._save(answer, target))
 
     def _save(self, answer: HTTPResponse, target: Path) -> None:
         """Write a GLB to a file. Raises GENERATOR_FAILED for what is none, is too large, or is cut off."""
@@ -96,19 +107,10 @@ class GeneratorServer:
     def _too_large(self) -> EdgeError:
         return failed(say("generator_too_large", size=max(1, self.most_bytes >> 20)))
 
-    def _ask(
-        self,
-        most_s: float,
-        tick: Tick,
-        method: str,
-        route: str,
-        body: bytes,
-        headers: dict[str, str],
-        read: Callable[[HTTPResponse], Answer],
-    ) -> Answer:
+    def _ask(self, most_s: float, tick: Tick, question: _Question, read: Callable[[HTTPResponse], Answer]) -> Answer:
         """Send a request in a thread, whose connection is shut when time is up or `tick` raises."""
         asked, found = _Asked(self._connection()), Future[Answer]()
-        threading.Thread(target=asked.run, args=(found, method, route, body, headers, read), daemon=True).start()
+        threading.Thread(target=asked.run, args=(found, question, read), daemon=True).start()
         began = time.monotonic()
         try:
             while (elapsed := time.monotonic() - began) < most_s:
@@ -133,25 +135,18 @@ class _Asked:
 
     def __init__(self, connection: HTTPConnection) -> None:
         self._connection = connection
+        self._socket: socket | None = None  # the connection forgets it once the answer has begun
         self._stopped = False
 
-    def run(
-        self,
-        found: Future[Answer],
-        method: str,
-        route: str,
-        body: bytes,
-        headers: dict[str, str],
-        read: Callable[[HTTPResponse], Answer],
-    ) -> None:
+    def run(self, found: Future[Answer], question: _Question, read: Callable[[HTTPResponse], Answer]) -> None:
         """Send the request, read the answer, and tell what came of it."""
         try:
             self._connection.connect()
-            self._socket = self._connection.sock  # the connection forgets it once the answer has begun
-            self._socket.settimeout(None)
+            self._socket = self._connection.sock
+            self._connection.sock.settimeout(None)
             if self._stopped:
                 return
-            self._connection.request(method, route, body or None, headers)
+            self._connection.request(question.method, question.route, question.body or None, question.headers)
             with closing(self._connection.getresponse()) as answer:
                 found.set_result(read(answer))
         except BaseException as error:  # noqa: BLE001 - whatever it is, the thread that waits must be told
@@ -162,9 +157,9 @@ class _Asked:
     def stop(self) -> None:
         """Wake whatever waits for the other side."""
         self._stopped = True
-        if (socket := getattr(self, "_socket", None)) is not None:
+        if self._socket is not None:
             with suppress(OSError):
-                socket.shutdown(SHUT_RDWR)
+                self._socket.shutdown(SHUT_RDWR)
 
 
 def _require_health(answer: HTTPResponse) -> None:

@@ -40,7 +40,7 @@ def open_ends(mask: Bools, reach: float) -> Bools:
     outward = _outward(mask, _SMOOTH * height)[outline]
     low = (places[:, 1] - top) / height
     hem = (low > _HEM) & (outward[:, 1] > _FACING)
-    neck = _neck(mask, places, outward) & (low < _NECK)
+    neck = _neck(places, outward) & (low < _NECK)
     opening = hem | neck
     waist = _waist(mask, top, height)
     for side, edge in ((-1, columns[0]), (1, columns[-1])):
@@ -67,7 +67,7 @@ def _waist(mask: Bools, top: int, height: int) -> tuple[float, float]:
     return float(left + right) / 2, float(right - left) / 2
 
 
-def _neck(mask: Bools, places: Floats, outward: Floats) -> Bools:
+def _neck(places: Floats, outward: Floats) -> Bools:
     """Which places (N,2) of the outline are between the highest places of the left and the right half, or near the
     middle: a collar may be closed."""
     middle = float(places[:, 0].min() + places[:, 0].max()) / 2

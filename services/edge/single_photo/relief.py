@@ -137,8 +137,13 @@ def _cut_away(mask: Bools, beyond: Bools) -> Bools:
 
 def _in(mask: Bools, surface: Floats) -> Bools:
     """Which places (N,3) in pixels lie over a mask (h,w)."""
-    at = np.stack([surface[:, 0], -surface[:, 1]], axis=1) / SIDE + 0.5
-    return np.asarray(bilinear((255 * mask[..., None]).astype(np.uint8), at)[:, 0] > 127)
+    shown = bilinear((255 * mask[..., None]).astype(np.uint8), _from_middle(surface) + 0.5)
+    return np.asarray(shown[:, 0] > 127)
+
+
+def _from_middle(surface: Floats) -> Floats:
+    """Where places (N,3) in pixels are from the middle of the front's picture (N,2), right and down, in its sides."""
+    return np.stack([surface[:, 0], -surface[:, 1]], axis=1) / SIDE
 
 
 def _as_seen(surface: Floats) -> Floats:
@@ -165,7 +170,7 @@ def _views(pictures: tuple[PrintedPicture, ...], membrane: Membrane, name: str) 
 
 def _colours(surface: Floats, views: tuple[TextureView, TextureView]) -> Bytes:
     """Colours (N,3) of places in pixels, from the picture of their side."""
-    at = np.stack([surface[:, 0], -surface[:, 1]], axis=1) / SIDE
+    at = _from_middle(surface)
     front = bilinear(views[0].load_rgb(), at + 0.5)
     back = bilinear(views[1].load_rgb(), at * [-1, 1] + 0.5)
     return np.asarray(np.where(surface[:, 2:] >= 0, front, back).round(), np.uint8)

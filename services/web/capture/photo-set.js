@@ -5,7 +5,7 @@ import { t } from '../shared/texts.js';
 /** @import { PhotoQuality } from './photo-quality.js' */
 
 export const ADVISED = [15, 30]; // photos
-export const FEWEST = 3; // photos that are used before a video beside them
+export const FEWEST = 3; // photos that are used before a video beside them, or tell by their compass how far around they go
 export const FEW = 8; // photos up to which what none of them shows is guessed
 const BLURRED = 0.4; // sharpness against the median of the set
 const MOST_BLURRED = 0.3; // share of the photos that may be called blurred: the others say what is sharp here

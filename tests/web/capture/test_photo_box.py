@@ -102,6 +102,7 @@ def test_the_rectangle_goes_with_the_upload_and_the_job(page: Page, stack: Stack
     (left, top), (right, bottom) = around(BLUE)
     assert np.allclose(np.multiply(box, [WIDTH, HEIGHT] * 2), [left, top, right, bottom], atol=4)
     assert upload.url.endswith(f"/v1/captures?box={','.join(map(str, box))}")
+    expect(page.locator("#warnings")).to_contain_text("One photo shows only one side")
     expect(page.locator("#warnings")).not_to_contain_text("Nothing stands out")
 
 
