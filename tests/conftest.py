@@ -30,6 +30,14 @@ settings.register_profile("crowded", deadline=None, suppress_health_check=[Healt
 settings.load_profile("crowded")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _unsynced() -> Iterator[None]:
+    """No test cuts the power: stores would spend most of their time waiting for a disk that others use too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
 def pytest_collection_finish() -> None:
     """Modules and tests stay to the end: the garbage collector, which took a tenth of the time, passes over them."""
     gc.collect()

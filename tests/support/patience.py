@@ -1,6 +1,6 @@
 """How long tests wait: generously, because other programs may keep every core busy; only what hangs takes so long."""
 
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 """Seconds after which what a test waits for has failed to happen."""
 
 CANCEL_S = 15.0

@@ -32,7 +32,7 @@ from tests.support.repository import ROOT
 from tests.support.sites import Site, site_at
 from tests.support.tenants import make_key
 
-PATIENCE_MS = 60_000  # a whole reconstruction fits, on a busy two-core machine
+PATIENCE_MS = 180_000  # a whole reconstruction fits, on a busy two-core machine
 expect.set_options(timeout=PATIENCE_MS)
 
 BRIEF = """

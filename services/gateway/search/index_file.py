@@ -84,9 +84,14 @@ def state_bit(state: str) -> int:
 
 
 def create_file(path: Path) -> None:
-    """Make an empty file. Raises sqlite3.Error, OSError where one is there."""
-    path.touch(mode=0o600, exist_ok=False)
-    with opened(path) as connection:
+    """Make an empty file, whose tables are all there once it has its name: searches look at it meanwhile.
+
+    Raises sqlite3.Error, OSError.
+    """
+    unnamed = path.with_suffix(".new")
+    unnamed.unlink(missing_ok=True)  # of a process that died
+    unnamed.touch(mode=0o600)
+    with opened(unnamed) as connection:
         connection.execute("PRAGMA journal_mode = WAL")
         with transaction(connection):
             for statement in filter(str.strip, _TABLES.split(";")):
@@ -96,6 +101,7 @@ def create_file(path: Path) -> None:
                 connection.execute("CREATE VIRTUAL TABLE vocabulary USING fts5vocab(grams, row)")
                 connection.execute("INSERT INTO grams(grams, rank) VALUES('hashsize', ?)", (_MERGE_BYTES,))
             _put_meta(connection, form=_form(), token="", version=0)
+    unnamed.replace(path)
 
 
 @contextmanager

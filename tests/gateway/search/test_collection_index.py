@@ -202,6 +202,26 @@ def test_one_that_was_stopped_answers_nothing_and_goes_on(
     assert len(all_pages(index, listing.token, RowFilter(), 9)) == 2
 
 
+def test_a_search_while_the_file_is_made_finds_none_and_spoils_nothing(
+    index: CollectionIndex, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, put_meta = [], index_file._put_meta
+
+    def search_and_put(connection: sqlite3.Connection, **values: object) -> None:
+        found.append(index.find(Search(RowFilter("label"), "", 9), None))
+        put_meta(connection, **values)
+
+    monkeypatch.setattr(index_file, "_put_meta", search_and_put)
+    index.path.parent.mkdir()
+    index.path.with_suffix(".new").write_bytes(b"left by a process that died")
+    listing = listing_of([[row_named("a", "label")]])
+    make(index, listing)
+    assert set(found) == {None}
+    assert (index.is_doomed, index.may_change) == (False, True)
+    assert len(all_pages(index, listing.token, RowFilter("label"), 9)) == 1
+    assert [path.name for path in index.path.parent.iterdir()] == ["index.db"]
+
+
 @pytest.mark.parametrize("damage", ["no database", "half", "tables", "form"])
 def test_a_damaged_file_is_made_anew(index: CollectionIndex, damage: str) -> None:
     listing = listing_of([[row_named(f"a{number}", "label")] for number in range(40)])

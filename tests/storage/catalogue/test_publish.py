@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from capture2vr.storage.bundle import FilesOnDisk
+from capture2vr.storage.catalogue import compare_and_swap
 from capture2vr.storage.catalogue.entry import Entry, alias_name, list_keys, read_entry, valid_key
 from capture2vr.storage.catalogue.job_versions import StaleFence
 from capture2vr.storage.catalogue.publish import publish
@@ -22,6 +23,7 @@ from capture2vr.storage.store import IMMUTABLE, NO_CACHE, Store, list_all
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import near_store, s3_store
 from tests.support.bundles import Crash, CrashingStore, bundle, listed
+from tests.support.patience import HANG_S
 
 CONTENT = 4 + 1  # files, manifest
 PUTS = CONTENT + 1 + 1 + 1 + 1  # catalogue entry, alias, the collection's shard, its index
@@ -209,7 +211,9 @@ def test_fences_of_other_jobs_do_not_count() -> None:
     assert publish(bundle(content="b"), store, key="dress", job="job_2", fence=1).version == 2
 
 
-def test_rival_publishers_lose_no_version(store: Store) -> None:
+def test_rival_publishers_lose_no_version(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compare_and_swap, "_RACE_S", HANG_S)  # on a crowded machine each round takes seconds
+
     def one(number: int) -> int:
         return publish(bundle(content=str(number)), store, key="dress", job=f"job_{number}").version
 

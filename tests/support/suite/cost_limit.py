@@ -11,9 +11,9 @@ import pytest
 COSTLY = {"browser", "compose", "docker", "gpu", "s3", "slow"}
 """Marks of tests that may take more than a second."""
 
-MARK_S, LIMIT_S = 1.0, 5.0
-"""CPU seconds of a test's own code and of the children that it waited for, from which it is named at the run's end, and
-from which it fails. On a crowded machine, whose caches others use, the same test takes up to twice as much."""
+MARK_S = 1.0
+"""CPU seconds of a test's own code and of the children that it waited for, from which it is named at the run's end. It
+never fails: on a crowded machine, whose caches others use, the same test takes up to five times as much."""
 
 # Modules. The first test that loads PyTorch or SciPy pays for all tests of its process, and is not judged.
 _IMPORTED = 30
@@ -28,26 +28,23 @@ def _cpu_s() -> float:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
-    """Measure the fixtures that the test is the first to need. They do not fail it: others share them."""
-    yield from _measured(item, "setup", float("inf"))
+    """Measure the fixtures that the test is the first to need."""
+    yield from _measured(item, "setup")
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
     """Measure the test itself."""
-    yield from _measured(item, "call", LIMIT_S)
+    yield from _measured(item, "call")
 
 
-def _measured(item: pytest.Item, phase: str, limit_s: float) -> Generator[None]:
+def _measured(item: pytest.Item, phase: str) -> Generator[None]:
     began, loaded = _cpu_s(), len(sys.modules)
     yield
     cost = _cpu_s() - began
     item.user_properties.append((f"{phase}_cpu_s", round(cost, 3)))
-    if cost <= MARK_S or len(sys.modules) - loaded >= _IMPORTED or any(map(item.get_closest_marker, COSTLY)):
-        return
-    item.user_properties.append((_NAMED, [round(cost, 1), phase]))
-    if cost > limit_s:
-        pytest.fail(f"took {cost:.1f} s of CPU time: make it cheaper, or mark it slow", pytrace=False)
+    if cost > MARK_S and len(sys.modules) - loaded < _IMPORTED and not any(map(item.get_closest_marker, COSTLY)):
+        item.user_properties.append((_NAMED, [round(cost, 1), phase]))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
